@@ -81,7 +81,7 @@ def round_stages(
     """
     seed = options.seed_of(number, JUDGE)
     return (
-        analysis_stage(analyze_name(number), falsify_name(number), 1),
+        analysis_stage(analyze_name(number), falsify_name(number)),
         _training(options, number, incumbent, campaigns),
         _campaign(options, incumbent_name(number), incumbent, 'random', seed),
         _campaign(options, candidate_name(number), candidate_weights(number), 'random', seed),
@@ -105,8 +105,7 @@ def _training(
         start=incumbent, varied=options.varied, add=options.add,
         add_runs=[f'{campaign}={options.counterexamples}' for campaign in campaigns],
         images=options.images, validation=options.validation,
-        added=options.counterexamples * len(campaigns), epochs=options.epochs,
-        seed=options.seed_of(number, TRAIN), workers=options.workers,
+        epochs=options.epochs, seed=options.seed_of(number, TRAIN), workers=options.workers,
         inputs=(incumbent, *(f'{campaign}/{PARQUET_NAME}' for campaign in campaigns)),
         programs=[text.rpartition('=')[0] for text in options.add],
     )

@@ -10,7 +10,6 @@ from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.stage import (
-    Kind,
     Resume,
     Stage,
     analysis_stage,
@@ -29,9 +28,6 @@ PAPER_RULE = 'ce-verifai'
 FALSIFY, ANALYZE, LOCALIZE, REPORT = (
     'falsify-original', 'analyze-original', 'localize-original', 'report'
 )
-
-_TRIALS = 4
-"""Reruns of one failed run: unchanged, and with three substitutions."""
 
 
 def campaign_of(network: str) -> str:
@@ -70,7 +66,7 @@ def stages(config: StudyConfig) -> tuple[Stage, ...]:
         wants=everything,
         outputs=(f'{REPORT}/case_study.html', f'{REPORT}/case_study.json',
                  f'{REPORT}/networks.parquet'),
-        kind=Kind.REPORT, amount=1, resume=Resume.REPLACE,
+        resume=Resume.REPLACE,
     ))
     return tuple(found)
 
@@ -94,12 +90,12 @@ def _falsification(config: StudyConfig) -> Iterator[Stage]:
 
 def _debugging(config: StudyConfig) -> Iterator[Stage]:
     table = f'{FALSIFY}/{PARQUET_NAME}'
-    yield analysis_stage(ANALYZE, FALSIFY, 2)
+    yield analysis_stage(ANALYZE, FALSIFY)
     yield Stage(
         name=LOCALIZE, command='localize', argument=FALSIFY, options={'out': LOCALIZE},
         runs=config.localized, hints={'workers': config.workers}, inputs=(table,),
-        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
-        amount=_TRIALS * config.localized, resume=Resume.SAME, needs_failures=FALSIFY,
+        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), resume=Resume.SAME,
+        needs_failures=FALSIFY,
     )
     for word, runs in config.experiments.items():
         yield _experiment(config, word, runs)
@@ -111,8 +107,8 @@ def _experiment(config: StudyConfig, word: str, runs: int) -> Stage:
         name=name, command='experiment', argument=word,
         options={'perception': weights, 'out': name}, runs=runs,
         hints={'workers': config.workers}, inputs=(weights,), experiment=word,
-        outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), kind=Kind.RUNS,
-        amount=2 * runs, resume=Resume.OPTION, accepts=(0, 4),
+        outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), accepts=(0, 4),
+        resume=Resume.OPTION,
     )
 
 
@@ -158,9 +154,8 @@ def _training(
     others = [added] * bool(added) + [config.generic] * ('validation_program' in more)
     return training_stage(
         weights_of(network), program, images=config.images, validation=config.validation,
-        added=config.added if added else 0, epochs=epochs or config.epochs,
-        seed=config.training_seed, workers=config.workers, inputs=inputs, programs=others,
-        needs=learned, **more,
+        epochs=epochs or config.epochs, seed=config.training_seed, workers=config.workers,
+        inputs=inputs, programs=others, needs=learned, **more,
     )
 
 

@@ -1,25 +1,18 @@
-"""Progress of a study: finished and outdated stages, remaining time, and their display text."""
+"""Progress of a study: finished and outdated stages, and their display text."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 
 from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.record import StageRecord, Stages
-from taxinet_ros.study.stages.stage import Kind, Stage
+from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.training.data.dataset_folder import REQUEST
-
-_DEFAULT_SECONDS = {Kind.RUNS: 3.5, Kind.TRIALS: 2.0, Kind.LOOKS: 0.0025, Kind.REPORT: 60.0}
-"""Default time per unit on one core of a small machine, until the study has measured it [s]."""
-_START_S = 5.0
-"""Time that every stage takes before its work begins [s]."""
-_SHARED_AMONG_WORKERS = (Kind.RUNS, Kind.TRIALS)
-"""Kinds of work that are divided among workers."""
 
 
 class State(Enum):
@@ -57,37 +50,6 @@ def can_resume(folder: Path) -> bool:
     )
 
 
-def seconds_left(
-    rest: Iterable[Stage], found: Sequence[Stage], records: Stages, workers: int
-) -> float:
-    """Estimated duration of some stages [s].
-
-    Args:
-        rest: these stages.
-        found: all stages; those done show the speed of this machine.
-        records: records of all stages.
-        workers: number of concurrent processes.
-    """
-    pace = {
-        kind: one_s / (workers if kind in _SHARED_AMONG_WORKERS else 1)
-        for kind, one_s in _DEFAULT_SECONDS.items()
-    }
-    pace |= _measured(found, records)
-    return sum(_START_S + stage.amount * pace[stage.kind] for stage in rest)
-
-
-def _measured(found: Sequence[Stage], records: Stages) -> dict[Kind, float]:
-    """Wall time per unit of each kind, measured on the finished stages."""
-    sums: dict[Kind, tuple[float, float]] = {}
-    for stage in found:
-        record = records.get(stage.name, StageRecord())
-        if record.key and not record.killed and not record.skipped:
-            wall_s, amount = sums.get(stage.kind, (0.0, 0.0))
-            work_s = max(record.wall_s - _START_S, 0.2 * record.wall_s)
-            sums[stage.kind] = (wall_s + work_s, amount + stage.amount)
-    return {kind: wall_s / amount for kind, (wall_s, amount) in sums.items()}
-
-
 def _is_not_empty(folder: Path) -> bool:
     return folder.is_dir() and any(folder.iterdir())
 
@@ -106,11 +68,6 @@ def stage_line(number: int, found: Sequence[Stage], *, resume: bool = False) -> 
     stage = found[number - 1]
     command = shlex.join(['taxinet', *stage.words(resume=resume)])
     return f'[{number}/{len(found)}] {stage.name}: {command}'
-
-
-def time_line(elapsed_s: float, left_s: float) -> str:
-    """Display text of the elapsed and the remaining time."""
-    return f'{clock(elapsed_s)} elapsed, about {rough_duration(left_s)} left'
 
 
 def list_lines(found: Sequence[Stage], records: Stages, out: Path) -> list[str]:

@@ -18,10 +18,8 @@ from taxinet_ros.study.stages.progress import (
     State,
     can_resume,
     clock,
-    seconds_left,
     stage_line,
     state_of,
-    time_line,
 )
 from taxinet_ros.study.stages.record import STAGE, StageRecord, read_stages, stack_warning
 from taxinet_ros.study.stages.stage import Resume, Stage
@@ -50,7 +48,7 @@ class StudyRun:
             found: the requested stages.
             record: the open record of the study.
             work: calls the function of a stage.
-            workers: processes per stage, to estimate the remaining time.
+            workers: processes per stage, for the record.
             show: prints a line.
             folder: working directory of the stages; None: the study's folder.
             logs: existing folder for what the stages print; None: it is shown.
@@ -109,11 +107,9 @@ class StudyRun:
         """Run one stage; return 0 if it is done."""
         self._record.check_in_place()
         resume = self._make_room(stage, state)
-        rest = self._stages[number - 1:]
-        left_s = seconds_left(rest, self._stages, self._records, self._workers)
         self._show('')
         self._show(stage_line(number, self._stages, resume=resume))
-        self._show(time_line(time.monotonic() - self._began, left_s))
+        self._show(f'{clock(time.monotonic() - self._began)} elapsed')
         key = stage.key(self._out)
         record = self._records.get(stage.name, StageRecord()).started(
             stage.identity(self._out), stage.runs, resumed=resume)

@@ -37,19 +37,6 @@ class Resume(Enum):
     """Start from the beginning and replace earlier results."""
 
 
-class Kind(Enum):
-    """Kind of work of a stage, which determines its duration."""
-
-    RUNS = 'runs'
-    """Amount: runs of 30 s on the graph."""
-    TRIALS = 'trials'
-    """Amount: runs without a graph."""
-    LOOKS = 'looks'
-    """Amount: pictures times epochs; rendering one counts as a few."""
-    REPORT = 'report'
-    """Amount: 1."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Stage:
     """A call of the function of a command. Paths are relative to the folder in which it is made.
@@ -68,7 +55,6 @@ class Stage:
         experiment: word or file of the experiment, or ''.
         perception: a network from outside the study, or ''.
         outputs: its output files.
-        kind, amount: kind and amount of its work.
         resume: how it is continued.
         accepts: exit codes that mean done: 1 if a run violates its formula; 4 if a run had an
             infrastructure error, which is counted and shown.
@@ -84,8 +70,6 @@ class Stage:
     argument: str = ''
     options: Mapping[str, Any]
     outputs: tuple[str, ...]
-    kind: Kind
-    amount: float
     hints: Mapping[str, Any] = field(default_factory=dict)
     runs: int = 0
     inputs: tuple[str, ...] = ()
@@ -164,8 +148,8 @@ def _option_words(name: str, value: Any) -> Iterable[str]:
 
 
 _BATCH = 64
-_RENDERING = 2
-"""Rendering time of a picture, in training passes over one picture."""
+_ENGINED = ('falsify', 'experiment', 'shrink')
+"""Commands that make runs by an engine."""
 
 
 def with_engine(
@@ -189,7 +173,7 @@ def with_engine(
     }
     return tuple(
         replace(stage, hints={**({'cluster': cluster} if cluster else stage.hints), **more})
-        if stage.kind is Kind.RUNS else stage
+        if stage.command in _ENGINED else stage
         for stage in found
     )
 
@@ -219,24 +203,23 @@ def campaign_stage(
             'perception': perception or weights, 'images': 'none', 'out': name,
         },
         inputs=() if perception else (weights,), programs=(program,), perception=perception,
-        outputs=(f'{name}/{PARQUET_NAME}',), kind=Kind.RUNS, amount=runs, needs=needs,
+        outputs=(f'{name}/{PARQUET_NAME}',), needs=needs,
         # 1 if a run violates its formula, 4 if a run has an infrastructure error.
         resume=Resume.OPTION, accepts=(0, 1, 4),
     )
 
 
-def analysis_stage(name: str, campaign: str, amount: float) -> Stage:
+def analysis_stage(name: str, campaign: str) -> Stage:
     """Stage that analyses the failures of a campaign."""
     return Stage(
         name=name, command='analyze', argument=campaign, options={'out': name},
         inputs=(f'{campaign}/{PARQUET_NAME}',),
-        outputs=(f'{name}/analysis.json', f'{name}/report.html'), kind=Kind.REPORT, amount=amount,
-        resume=Resume.REPLACE,
+        outputs=(f'{name}/analysis.json', f'{name}/report.html'), resume=Resume.REPLACE,
     )
 
 
 def training_stage(
-    weights: str, program: str, *, images: int, validation: int, added: int, epochs: int, seed: int,
+    weights: str, program: str, *, images: int, validation: int, epochs: int, seed: int,
     workers: int, inputs: Sequence[str] = (), programs: Sequence[str] = (), needs: str = '',
     **more: Any,
 ) -> Stage:
@@ -247,7 +230,6 @@ def training_stage(
         program: program of the training pictures.
         images: number of training pictures of the program.
         validation: number of additional held-out pictures.
-        added: number of pictures added by ``more``.
         epochs: number of passes over all pictures.
         seed: seed of everything random.
         workers: number of concurrent processes.
@@ -264,7 +246,5 @@ def training_stage(
             'batch': min(_BATCH, images), 'seed': seed, **more, 'out': weights,
         },
         hints={'workers': workers},
-        outputs=(weights, str(Path(weights).with_suffix('.json'))), kind=Kind.LOOKS,
-        amount=(images + added + validation) * _RENDERING + (images + added) * epochs,
-        resume=Resume.OPTION,
+        outputs=(weights, str(Path(weights).with_suffix('.json'))), resume=Resume.OPTION,
     )

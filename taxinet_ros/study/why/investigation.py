@@ -385,9 +385,7 @@ class Investigation:
                 runs=scenes,
             ))
             stages.append(confirm_stage(
-                file, self.out, cause.rank, scenes=scenes, workers=self.workers,
-                arms=arms[cause.rank],
-            ))
+                file, self.out, cause.rank, scenes=scenes, workers=self.workers))
         refused = self._stages(stages)
         troubles |= refused
         if refused and CONFIRM not in troubles:

@@ -26,7 +26,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
-from taxinet_ros.study.stages.stage import Kind, Resume, Stage
+from taxinet_ros.study.stages.stage import Resume, Stage
 
 ANALYZE, LOCALIZE, SHRINK = 'analyze', 'localize', 'shrink'
 RECORDED, TRUTH = 'recorded', 'truth'
@@ -86,7 +86,7 @@ def analyze_stage(campaign: Path, out: Path) -> Stage:
         name=ANALYZE, command='analyze', argument=str(campaign), options={'out': out / ANALYZE},
         inputs=(str(table),), outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'),
         # 3: scenes were chosen by a sampler, so there is no rate.
-        kind=Kind.REPORT, amount=1, resume=Resume.REPLACE, accepts=(0, 3),
+        resume=Resume.REPLACE, accepts=(0, 3),
     )
 
 
@@ -99,8 +99,8 @@ def localize_stage(
         name=LOCALIZE, command='localize', argument=str(campaign),
         options={**moved, 'out': out / LOCALIZE},
         runs=runs, hints={'workers': workers}, inputs=(str(campaign / PARQUET_NAME),),
-        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
-        amount=_TRIALS * runs, resume=Resume.SAME, optional=True,
+        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), resume=Resume.SAME,
+        optional=True,
     )
 
 
@@ -112,8 +112,7 @@ def explain_stage(bag: Path, out: Path, rank: int, perception: str, world: str) 
         name=name, command='explain', argument=str(bag),
         options={'perception': perception, **seen, 'out': out / name},
         inputs=tuple(str(path) for path in storage_files(bag)),
-        outputs=(f'{name}/explain.json', f'{name}/explain.html'), kind=Kind.REPORT, amount=0.5,
-        optional=True,
+        outputs=(f'{name}/explain.json', f'{name}/explain.html'), optional=True,
     )
 
 
@@ -126,21 +125,22 @@ def shrink_stage(bag: Path, out: Path, *, runs: int, workers: int, perception: s
         options={
             'perception': perception, 'images': 'none', 'quiet': True, 'out': out / SHRINK,
         },
-        inputs=tuple(map(str, inputs)), outputs=(f'{SHRINK}/shrink.json',), kind=Kind.RUNS,
-        amount=runs, resume=Resume.OPTION, optional=True,
+        inputs=tuple(map(str, inputs)), outputs=(f'{SHRINK}/shrink.json',),
+        resume=Resume.OPTION, optional=True,
     )
 
 
-def confirm_stage(experiment: Path, out: Path, rank: int, *, scenes: int, workers: int,
-                  arms: int) -> Stage:
+def confirm_stage(
+    experiment: Path, out: Path, rank: int, *, scenes: int, workers: int
+) -> Stage:
     """Stage that runs the same fresh scenes with and without what is suspected."""
     name = confirm_name(rank)
     return Stage(
         name=name, command='experiment', argument=str(experiment), options={'out': out / name},
         runs=scenes, hints={'workers': workers},
         inputs=(str(experiment), str(_program_of(experiment))),
-        outputs=(f'{name}/experiment.json', f'{name}/experiment.html'), kind=Kind.RUNS,
-        amount=arms * scenes, resume=Resume.OPTION, accepts=(0, 4), optional=True,
+        outputs=(f'{name}/experiment.json', f'{name}/experiment.html'), accepts=(0, 4),
+        resume=Resume.OPTION, optional=True,
     )
 
 
