@@ -22,14 +22,12 @@ from taxinet_ros.study.stages.record import OPTIONS, STAGE, open_study
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.study.why.investigation import Investigation, StoppedError, kind_of
-from taxinet_ros.study.why.plan import Budget, explain_name
+from taxinet_ros.study.why.plan import Budget
 from taxinet_ros.study.why.report import (
     JSON_NAME,
     PAGE_NAME,
-    WorstRun,
     why_json,
     why_report,
-    worst_run,
 )
 from taxinet_ros.study.why.verdict import (
     Action,
@@ -123,8 +121,7 @@ def run_why(options: WhyOptions) -> int:
         record.check_in_place()
         verdict = judge(evidence)
         todo = tuple(_actions(evidence, verdict, path, kind))
-        worst = _worst(work, evidence)
-        write_report_page(why_report(evidence, verdict, todo, worst, out), out / PAGE_NAME)
+        write_report_page(why_report(evidence, verdict, todo, out), out / PAGE_NAME)
         values = why_json(evidence, verdict, todo)
         write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
     if options.as_json:
@@ -176,17 +173,6 @@ def _with_near_paths(evidence: Evidence) -> Evidence:
         scenes=evidence.scenes and Path(_near(evidence.scenes)),
         base=evidence.base and Path(_near(evidence.base)),
     )
-
-
-def _worst(work: Investigation, evidence: Evidence) -> dict[int, WorstRun]:
-    found = {}
-    for cause in evidence.causes:
-        if cause.bag is None:
-            continue
-        run = worst_run(cause, work.change(cause), work.out / explain_name(cause.rank))
-        if run is not None:
-            found[cause.rank] = run
-    return found
 
 
 def _claim(record: Record, out: Path, path: Path) -> None:

@@ -334,7 +334,7 @@ class Investigation:
             removed=0.0 if blamed is None else float(blamed['removed']),
         )
 
-    def change(self, cause: CauseEvidence) -> Change | None:
+    def _change(self, cause: CauseEvidence) -> Change | None:
         """What is suspected: what the explanation blames, else what the region says."""
         path = self.out / explain_name(cause.rank) / 'explain.json'
         if cause.bag is not None and path.is_file():
@@ -369,7 +369,7 @@ class Investigation:
     ) -> tuple[CauseEvidence, ...]:
         """Run an experiment for each of the first causes, and read the results."""
         first = causes[:MOST_CAUSES]
-        changes = {cause.rank: self.change(cause) for cause in first}
+        changes = {cause.rank: self._change(cause) for cause in first}
         arms = {rank: arms_of(change, settings.perception) for rank, change in changes.items()}
         arms = {rank: number for rank, number in arms.items() if number > 1}
         if not arms:
