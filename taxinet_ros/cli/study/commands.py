@@ -21,7 +21,7 @@ from taxinet_ros.cli.options import (
 def why(
     path: Annotated[
         Path, typer.Argument(
-            metavar='CAMPAIGN|RUN', help="a campaign's folder or table, or the bag of a run"
+            metavar='CAMPAIGN|RUN', help="a campaign's folder, or the bag of a run"
         )
     ],
     budget: Annotated[

@@ -46,7 +46,7 @@ class WhyOptions:
     """Options of ``taxinet why``.
 
     Attributes:
-        path: campaign, table or run.
+        path: campaign or run.
         perception: network, if its file has moved.
         budget: about how many runs to make.
         workers: processes.
@@ -150,7 +150,7 @@ def _print(
 def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
     campaign, kept = None, False
     folder = path if kind == 'campaign' else path.parent
-    if kind != 'table' and is_campaign(folder):
+    if is_campaign(folder):
         campaign = Path(_near(folder))
         recorded = open_campaign(folder)
         kept = any(recorded.bag(row) is not None for row in recorded.counterexamples)

@@ -81,10 +81,10 @@ def confirm_name(rank: int) -> str:
 
 def analyze_stage(campaign: Path, out: Path) -> Stage:
     """Stage that finds what failures have in common; replaces an earlier one."""
-    table = campaign if campaign.is_file() else campaign / PARQUET_NAME
     return Stage(
         name=ANALYZE, command='analyze', argument=str(campaign), options={'out': out / ANALYZE},
-        inputs=(str(table),), outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'),
+        inputs=(str(campaign / PARQUET_NAME),),
+        outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'),
         # 3: scenes were chosen by a sampler, so there is no rate.
         resume=Resume.REPLACE, accepts=(0, 3),
     )

@@ -222,7 +222,7 @@ def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(tmp_path):
 
 
 def test_what_is_neither_campaign_nor_run_is_refused_with_what_could_be_named(tmp_path):
-    with pytest.raises(UsageError, match='neither the folder of a campaign, nor a table'):
+    with pytest.raises(UsageError, match='neither the folder of a campaign nor the bag'):
         kind_of(tmp_path)
     tx.run(tx.Scenario(duration_s=0.5), perception='truth', specs='low=always(cte < 9)').save_bag(
         tmp_path / 'one', images=False)
