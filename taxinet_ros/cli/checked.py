@@ -19,17 +19,16 @@ from typer.core import TyperCommand
 from taxinet_ros.errors import UsageError
 
 RECORD_NAMES = frozenset({
-    'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json',
-    'metadata.yaml', 'stack.json', 'trials.jsonl', 'experiment.json',
+    'campaign.db', 'progress.db', 'runs.csv', 'runs.parquet', 'learned.json',
+    'metadata.yaml', 'stack.json', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
-    'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'campaign.db',
-    'rounds.json', 'dataset.json', 'request.json', 'labels.csv',
+    'assurance.json', 'trials.csv', 'alarms.csv', 'rounds.json', 'dataset.json', 'labels.csv',
     'labels.parquet', 'evidence.json', 'MANIFEST',
 })
 """Names of files in which campaigns, experiments, studies, data sets and bags are recorded."""
 
 _READ = frozenset({
-    '.safetensors', '.onnx', '.nnet', '.npz', '.scenic', '.py', '.mcap', '.parquet', '.jsonl',
+    '.safetensors', '.onnx', '.nnet', '.npz', '.scenic', '.py', '.mcap', '.parquet', '.db',
 })
 """Suffixes of files that commands read, and that only an option for such files may replace."""
 _RECORDING = '.mcap'
@@ -38,8 +37,7 @@ _TABLE = '.parquet'
 _STARTS = (
     (b'PAR1', 'a table (Parquet)'),
     (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
-    (b'{"sum":"', 'a journal'),
-    (b'{"event":', 'a journal'),
+    (b'SQLite format 3\0', 'a record (SQLite)'),
     (b'run_id,index,', 'a table of runs'),
     (b'rosbag2_bagfile_information:', 'the description of a bag'),
 )

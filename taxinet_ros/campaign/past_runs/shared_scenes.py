@@ -8,8 +8,6 @@ kept in ``trials.jsonl``: the same command continues after an interrupt, also wi
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,14 +17,15 @@ import pandas as pd
 
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.judged_run import find_run
-from taxinet_ros.campaign.past_runs.localisation import (
-    TRIALS_NAME,
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
+from taxinet_ros.campaign.past_runs.trials import (
+    System,
     Task,
     Trial,
-    TrialSetup,
+    TrialRecord,
+    digest_of,
     run_trials,
 )
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
 from taxinet_ros.campaign.rates import sample_size_was_fixed
 from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
@@ -34,12 +33,11 @@ from taxinet_ros.campaign.record.table import read_any_table
 from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
-from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
@@ -47,10 +45,7 @@ from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import make_folder, sync_folder
-from taxinet_ros.files.journal import Journal, damaged_line, open_journal
 from taxinet_ros.registry import KMWH
-from taxinet_ros.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,6 +61,13 @@ class Scene:
     row: RunRow
     scenario: Scenario
     exact: bool
+
+    def task(self, word: str = AS_RECORDED, gains: Mapping[str, float] | None = None) -> Task:
+        """The trial of this scene; arguments as of :class:`Task`."""
+        return Task(
+            run_id=self.row.run_id, scenario=self.scenario, word=word, exact=self.exact,
+            seed=(self.row.seed, self.row.index), gains=gains,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,15 +92,22 @@ class SceneSet:
     world: str = KMWH
     world_sha256: str = ''
 
+    def system(self, network: str) -> System:
+        """The system that drives them with a network."""
+        return System(
+            perception=network, judging=self.judging, gains=self.gains, controller=self.controller,
+            timing=self.timing, world=self.world, world_sha256=self.world_sha256,
+        )
+
     @property
-    def digest(self) -> str:
-        """Digest of everything but the network that decides the results."""
-        values = [
-            __version__, self.judging.facts(), dict(self.gains), self.controller, self.timing,
-            self.world, self.world_sha256,
-            [[scene.row.run_id, repr(scene.scenario)] for scene in self.scenes],
-        ]
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    def settings(self) -> dict[str, str]:
+        """Digests of everything but the network that decides the results."""
+        return {
+            'system': self.system(GroundTruth.word).digest,
+            'scenes': digest_of([
+                [scene.row.run_id, repr(scene.scenario)] for scene in self.scenes
+            ]),
+        }
 
 
 def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
@@ -131,7 +140,7 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
         raise UsageError(f'{path}: no run was judged, so it has no scenes to compare')
     judging = campaign.judging
     if not judging.specs:
-        raise UsageError(f'{path}: its ledger does not record the formulas')
+        raise UsageError(f'{path}: its record does not have the formulas')
     scenes = []
     for row in spread_evenly(campaign.judged, runs):
         scenario, exact = campaign.scenario(row)
@@ -253,11 +262,7 @@ def scenes_of_program(
     return SceneSet(source=program, scenes=tuple(scenes), judging=_headline(judging))
 
 
-Results = dict[str, dict[str, Trial]]
-"""Results by fingerprint of the network and run."""
-
-
-class SharedTrials:
+class SharedTrials(TrialRecord[Trial]):
     """Runs of several networks on the same scenes, recorded in a folder. A context manager."""
 
     def __init__(self, scenes: SceneSet, out: Path) -> None:
@@ -266,48 +271,8 @@ class SharedTrials:
         Raises:
             UsageError: it contains something else, or another process uses it.
         """
+        super().__init__(out, scenes.settings, Trial, 'has runs of other scenes or settings')
         self.scenes = scenes
-        self.results: Results = {}
-        check_controller(scenes.controller, scenes.gains)
-        path = out / TRIALS_NAME
-        try:
-            if out.is_dir() and not path.exists() and any(out.iterdir()):
-                raise UsageError(f'--out {out}: contains something else; choose another folder')
-            make_folder(out)
-            self._journal: Journal = open_journal(path, 'taxinet compare or bisect')
-            sync_folder(out)
-        except OSError as error:
-            raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error
-        self._read(out, path)
-
-    def _read(self, out: Path, path: Path) -> None:
-        digest = self.scenes.digest
-        if not self._journal.events:
-            self._journal.append({'event': 'scenes', 'digest': digest})
-            self._journal.sync()
-            return
-        for number, event in enumerate(self._journal.events, start=1):
-            try:
-                if event['event'] == 'scenes':
-                    same = event['digest'] == digest
-                    if not same:
-                        self._journal.close()
-                        raise UsageError(
-                            f'--out {out}: has runs of other scenes or settings; choose another '
-                            'folder'
-                        )
-                    continue
-                trial = Trial.from_json(event['trial'])
-                if trial.passed is not None:
-                    self.results.setdefault(event['network'], {})[trial.run_id] = trial
-            except (KeyError, TypeError, ValueError) as error:
-                raise damaged_line(path, number, str(error)) from error
-
-    def __enter__(self) -> SharedTrials:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._journal.close()
 
     def drive(
         self, network: str, wanted: Sequence[str] | None = None, *, workers: int,
@@ -330,13 +295,7 @@ class SharedTrials:
             UsageError: there is no such network.
             InfraError: a worker died.
         """
-        fingerprint = check_perception(network)
-        done = self.results.setdefault(fingerprint, {})
-        setup = TrialSetup(
-            perception=network, judging=self.scenes.judging, gains=self.scenes.gains,
-            controller=self.scenes.controller, timing=self.scenes.timing, world=self.scenes.world,
-            world_sha256=self.scenes.world_sha256,
-        )
+        fingerprint, done = check_perception(network), self._results(network)
 
         def tasks() -> Iterator[Task]:
             for scene in self.scenes.scenes:
@@ -345,20 +304,20 @@ class SharedTrials:
                     continue
                 if interrupted():
                     return
-                yield Task(
-                    run_id=name, scenario=scene.scenario, word=AS_RECORDED,
-                    seed=(scene.row.seed, scene.row.index), exact=scene.exact,
-                )
+                yield scene.task()
 
-        waiting = list(tasks())
-        if waiting:
-            for trial in run_trials(_until(waiting, interrupted), setup, workers):
-                event = {'event': 'trial', 'network': fingerprint, 'trial': trial.to_json()}
-                self._journal.append(event)
-                self._journal.sync()
-                done[trial.run_id] = trial
-                on_trial()
-        return dict(done)
+        for trial in run_trials(tasks(), self.scenes.system(network), workers):
+            self.keep(f'{fingerprint} {trial.run_id}', trial)
+            done[trial.run_id] = trial
+            on_trial()
+        return done
+
+    def _results(self, network: str) -> dict[str, Trial]:
+        fingerprint, known = check_perception(network), self.done
+        return {
+            name: trial for scene in self.scenes.scenes
+            if (trial := known.get(f'{fingerprint} {(name := scene.row.run_id)}')) is not None
+        }
 
     def table(self, network: str) -> pd.DataFrame:
         """Results of a network as a campaign's table; runs that were not judged are in it too."""
@@ -369,21 +328,14 @@ class SharedTrials:
         fingerprint = check_perception(network)
         spec = self.scenes.judging.headline
         rows: list[RunRow] = []
+        results = self._results(network)
         for place, scene in enumerate(self.scenes.scenes):
-            trial = self.results.get(fingerprint, {}).get(scene.row.run_id)
-            if trial is not None:
+            if (trial := results.get(scene.row.run_id)) is not None:
                 row = _result_row(scene.row, trial, network, fingerprint, spec)
                 # Gaps would say that runs are missing; these scenes are all that were asked for.
                 row = dataclasses.replace(row, index=place) if self.scenes.fixed else row
                 rows.append(row)
         return rows
-
-
-def _until(tasks: Sequence[Task], interrupted: Callable[[], bool]) -> Iterator[Task]:
-    for task in tasks:
-        if interrupted():
-            return
-        yield task
 
 
 def _result_row(row: RunRow, trial: Trial, network: str, fingerprint: str, spec: str) -> RunRow:

@@ -18,8 +18,8 @@ from typing import Any
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
 from taxinet_ros.bag.layout import bag_files
 from taxinet_ros.campaign.doctor import examine
-from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.campaign.past_runs.trials import SETTINGS, TRIAL
 from taxinet_ros.campaign.rates import Planned
 from taxinet_ros.campaign.record.facts import is_campaign, planned_runs, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
@@ -34,8 +34,7 @@ from taxinet_ros.core.perception.weights import (
     weights_path,
 )
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.journal import journal_end, parse_journal
-from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 MONITOR_NAME = 'assurance.json'
@@ -369,21 +368,18 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Resul
     Raises:
         UsageError: it is none, is damaged, or is not about one of the campaigns.
     """
-    path, summary = folder / TRIALS_NAME, folder / LOCALISE_NAME
+    path, summary = folder / RECORD_NAME, folder / LOCALISE_NAME
     for needed in (summary, path):
         if not needed.is_file():
             raise UsageError(
                 f'{folder}: no results of taxinet localize: {needed.name} is not there'
             )
     sealed = read_sealed(summary)
-    if sealed.journals.get(path.name) != journal_end(path):
+    if sealed.files.get(path.name) != file_sha256(path):
         raise UsageError(f'{path}: is not what {summary.name} was made from; localize again')
-    events = [line.event for line in parse_journal(path.read_bytes()).lines if line.event]
-    try:
-        facts = next(event['facts'] for event in events if event['event'] == 'localize')
-        runs = {event['trial']['run_id'] for event in events if event['event'] == 'trial'}
-    except (StopIteration, LookupError, TypeError) as error:
-        raise UsageError(f'{path}: damaged ({error!r}); localize again') from error
+    entries = read_record(path)
+    facts = entries.get(SETTINGS, {}).get('', {})
+    runs = {trial.get('run_id') for trial in entries.get(TRIAL, {}).values()}
     found = [
         number for number, one in enumerate(campaigns)
         if all(

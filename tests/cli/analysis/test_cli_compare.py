@@ -13,6 +13,7 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of
+from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.files.sealed_table import is_sealed_table
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
@@ -46,7 +47,7 @@ def bag(tmp_path_factory):
 
 
 def trials(out: Path) -> int:
-    return (out / 'trials.jsonl').read_text().count('"event":"trial"')
+    return len(read_record(out / RECORD_NAME)['trial'])
 
 
 def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kept(

@@ -229,7 +229,7 @@ def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tm
         2, 1, 1, 0)
     assert figures['with_fallback']['stop']['mended'] == 1
     assert monitor['campaigns'] == ['campaign-1']
-    names = ['alarms.csv', 'assurance.json', 'scenes.jsonl', 'trials.csv']
+    names = ['alarms.csv', 'assurance.json', 'campaign.db', 'trials.csv']
     for name in names:
         item = content['items'][f'monitor-1/{name}']
         assert item['sha256'] == hashlib.sha256((folder / name).read_bytes()).hexdigest()
@@ -252,7 +252,7 @@ def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tm
     ('trials.csv', b'0,without,True', b'0,without,False', 'is not the file recorded in assurance'),
     ('alarms.csv', b'11.0', b'11.1', 'is not the file recorded in assurance'),
     ('assurance.json', b'"in_time": 1', b'"in_time": 2', 'its checksum differs'),
-    ('scenes.jsonl', b'"scene":1', b'"scene":3', 'its checksum differs'),
+    ('campaign.db', b'"scene":1', b'"scene":3', 'damaged'),
     ('trials.csv', None, None, 'is missing, but listed in assurance.json'),
     ('assurance.json', None, None, 'no results of taxinet assure judge: assurance.json is not'),
 ])

@@ -10,8 +10,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from fault_runs import request, run, steps_in
 from five_outcomes import five_outcomes
+from graph_runs import request, run, steps_in
 from hypothesis import given
 from hypothesis import strategies as st
 

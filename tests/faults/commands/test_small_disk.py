@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_process import ended, taxinet
-from fault_runs import request, run, steps_in
+from graph_runs import request, run, steps_in
 
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.campaign.record.table import read_table

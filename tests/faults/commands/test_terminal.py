@@ -18,7 +18,7 @@ from typing import NamedTuple
 import psutil
 import pytest
 from command_process import Terminal, on_terminal
-from fault_runs import grown, once, request, run, steps_in
+from graph_runs import grown, once, request, run, steps_in
 from process_table import children, gone
 from waiting import wait_for
 

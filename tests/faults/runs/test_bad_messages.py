@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
-from fault_runs import request, run, steps_in
+from graph_runs import request, run, steps_in
 from tampering import changed, cut_short, tamper
 
 from taxinet_ros.bag.check.doctor import check_bag

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from fault_runs import request, run, steps_in
+from graph_runs import request, run, steps_in
 
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from action_msgs.msg import GoalStatus
-from fault_runs import request, run
+from graph_runs import request, run
 from rclpy.action import ActionClient
 from tampering import changed, tamper
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from fault_runs import PERIOD_NS, request, run, steps_in
+from graph_runs import PERIOD_NS, request, run, steps_in
 from rosgraph_msgs.msg import Clock
 from tampering import tamper
 from taxinet_msgs.action import RunScenario
