@@ -12,7 +12,7 @@ from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.record import StageRecord, Stages
 from taxinet_ros.study.stages.stage import Stage
-from taxinet_ros.training.data import unfinished
+from taxinet_ros.training.data.unfinished import is_begun
 
 
 class State(Enum):
@@ -45,7 +45,7 @@ def state_of(stage: Stage, records: Stages, out: Path) -> State:
 def can_resume(folder: Path) -> bool:
     """Whether there is a campaign, an arm of an experiment, or an unfinished training."""
     return any(
-        is_campaign(place) or (place / unfinished.NAME).is_file()
+        is_campaign(place) or is_begun(place)
         for place in (folder, *folder.glob('*/'))
     )
 

@@ -357,7 +357,7 @@ def test_given_an_optional_stage_that_is_refused_then_the_others_go_on_and_it_is
 def test_given_a_training_that_was_killed_then_it_goes_on_from_its_last_epoch(finished, tmp_path):
     out = copied(finished, tmp_path, 'train-halton')
     (out / 'train-halton' / 'halton.part').mkdir(parents=True)
-    (out / 'train-halton' / 'halton.part' / unfinished.NAME).touch()
+    (out / 'train-halton' / 'halton.part' / unfinished.NAME).write_text('begun')
     assert run_study(out)[0] == 0
     (line,) = asked(out)
     assert line.startswith('train s_falsif')
