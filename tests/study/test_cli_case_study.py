@@ -14,7 +14,7 @@ from taxinet_process import taxinet
 from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.cli.study.case_study import CaseStudyOptions, run_case_study
+from taxinet_ros.cli.study.case_study import report_case_study, run_case_study
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.record import read_options
@@ -71,8 +71,6 @@ def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_pa
 @pytest.mark.parametrize(('options', 'complaint'), [
     ({'resume': True}, r'--resume: name the case study to continue with --out'),
     ({'resume': True, 'out': Path('new')}, r'--resume: new: no study of taxinet case-study'),
-    ({'report_only': True}, r'--report-only: name the case study with --out'),
-    ({'report_only': True, 'out': Path('new')}, r'--report-only: new: no study of taxinet case-'),
     ({'until': 'lunch'}, r'--until lunch: no such stage; known: train-original, '),
     ({'scale': 0.0}, r'--scale 0: needs to be above 0, at most 100'),
     ({'config': Path('gone.yaml')}, r'--config gone.yaml: cannot be read'),
@@ -82,8 +80,15 @@ def test_given_bad_input_then_it_is_refused_and_nothing_is_written(
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=complaint):
-        run_case_study(CaseStudyOptions(**options))
+        run_case_study(**options)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_given_no_study_then_there_is_no_report(tmp_path):
+    with pytest.raises(UsageError, match=r'--report-only: name the case study with --out'):
+        report_case_study(None)
+    with pytest.raises(UsageError, match=r'--report-only: .*/new: no study of taxinet case-study'):
+        report_case_study(tmp_path / 'new')
 
 
 def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
@@ -92,16 +97,16 @@ def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
     monkeypatch.setattr(
         'taxinet_ros.cli.study.case_study.call_stage', lambda stage, resume: 3)
     out = tmp_path / 'study'
-    assert run_case_study(CaseStudyOptions(out=out, scale=0.02)) == 3
+    assert run_case_study(out=out, scale=0.02) == 3
     begun = read_options(out, 'case-study', '')
     assert (begun['runs'], begun['images']) == (80, 240)
-    assert run_case_study(CaseStudyOptions(out=out, resume=True, runs=90)) == 3
+    assert run_case_study(out=out, resume=True, runs=90) == 3
     begun = read_options(out, 'case-study', '')
     assert (begun['runs'], begun['images']) == (90, 240)
     printed = capsys.readouterr().out
     assert 'stopped at train-original: exit code 3; once it is mended, --resume' in printed
     with pytest.raises(UsageError, match=r'study: already exists'):
-        run_case_study(CaseStudyOptions(out=out))
+        run_case_study(out=out)
 
 
 @pytest.mark.ros

@@ -7,13 +7,22 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from rich.console import Console
 
 from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.campaign.rates import rate
+from taxinet_ros.cli.options import (
+    AuditOption,
+    ClusterOption,
+    EngineOption,
+    VariedOption,
+    given_options,
+    refuse_given,
+)
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -29,26 +38,82 @@ ROUNDS_NAME = 'rounds.json'
 _COMMAND = 'improve'
 
 
-def run_improve(
+def improve(
+    context: typer.Context,
+    program: Annotated[
+        str, typer.Argument(metavar='[SCENARIO]', help='program whose scenes the network should '
+        'handle')
+    ] = 's_falsif',
+    start: Annotated[str, typer.Option(help='initial network: word or file')] = 'taxinet',
+    rounds: Annotated[int, typer.Option(help='most rounds')] = 3,
+    budget: Annotated[
+        int, typer.Option(help='runs of all rounds: one third each for the search, the old and the '
+        'new network')
+    ] = 3600,
+    base: Annotated[
+        str, typer.Option(help='program whose images are trained on in addition to the failures')
+    ] = 'training_full',
+    images: Annotated[int, typer.Option(help='images of it per round')] = 12_000,
+    validation: Annotated[int, typer.Option(help='additional validation images')] = 1_500,
+    counterexamples: Annotated[
+        int, typer.Option(help="images along each round's failed runs")
+    ] = 4_000,
+    add: Annotated[
+        list[str] | None,
+        typer.Option(metavar='PROGRAM=COUNT', help='additional image folder; repeatable'),
+    ] = None,
+    epochs: Annotated[int, typer.Option(help='epochs')] = 8,
+    learning_rate: Annotated[float, typer.Option(help='maximum learning rate of the '
+    'schedule')] = 1e-3,
+    varied: VariedOption = False,
+    sampler: Annotated[str, typer.Option(help='sampler of the searches for failures')] = 'ce',
+    alpha: Annotated[
+        float,
+        typer.Option(help='probability of accepting a network that is not better, or worse by a '
+        'margin'),
+    ] = 0.05,
+    margin: Annotated[
+        float, typer.Option(help='tolerated increase of failures, as a share of all scenes')
+    ] = 0.01,
+    place_margin: Annotated[
+        float, typer.Option(help='the same within any part of runway, day, pose or sky')
+    ] = 0.05,
+    seed: Annotated[int, typer.Option(help='random seed')] = 1,
+    workers: Annotated[
+        int, typer.Option(min=1, max=8, help='worker processes; same results')
+    ] = 2,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
+    cluster: ClusterOption = None,
+    out: Annotated[Path | None, typer.Option(help='folder; must be new')] = None,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue in --out, with its own options')
+    ] = False,
+) -> None:
+    """Improve a network in rounds: falsify, cluster failures, retrain, evaluate, keep if better.
+
+    Every stage does what a printed taxinet command does. Exit codes: 0 done, 130 interrupted,
+    else that of the failed stage.
+    """
+    if resume:
+        others = given_options(context).keys() - {
+            'out', 'workers', 'resume', 'engine', 'audit', 'cluster',
+        }
+        refuse_given(context, others, 'is taken from the folder that --resume continues')
+    options = None if resume else ImproveOptions(
+        program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
+        validation=validation, counterexamples=counterexamples, add=tuple(add or ()),
+        epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
+        margin=margin, place_margin=place_margin, seed=seed, workers=workers,
+    )
+    raise typer.Exit(_run(options, out, workers, engine, audit, cluster))
+
+
+def _run(
     options: ImproveOptions | None, out: Path | None, workers: int, engine: str,
     audit: str | None, cluster: str | None,
 ) -> int:
-    """Run the rounds and print their results.
-
-    Args:
-        options: options; None to continue with those of ``out``.
-        out: folder, or None for a new one.
-        workers: worker processes of a resumed loop.
-        engine: what makes the runs, see :class:`.CampaignOptions`.
-        audit: share of the runs to audit as text, see :func:`.check_engine`.
-        cluster: a Dask cluster that makes the runs of campaigns, or None.
-
-    Returns:
-        Exit code: 0 done, 130 interrupted, else that of the stage that failed.
-
-    Raises:
-        UsageError: bad input.
-    """
+    """Run the rounds and print their results; without options, those of ``out``."""
     console = Console(highlight=False)
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 

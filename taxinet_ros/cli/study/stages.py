@@ -13,7 +13,6 @@ from taxinet_ros.campaign.record.facts import missing_packages_named
 from taxinet_ros.campaign.search_options import make_search_options
 from taxinet_ros.cli.analysis.commands import analyze, explain, localize
 from taxinet_ros.cli.run.commands import experiment, shrink
-from taxinet_ros.cli.study.commands import case_study
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.study.stages.stage import Stage
 
@@ -64,12 +63,18 @@ def _train(
     return ExitCode.OK
 
 
+def _report(_: str, options: Mapping[str, Any]) -> int:
+    from taxinet_ros.cli.study.case_study import report_case_study
+
+    return report_case_study(options['out'])
+
+
 def _command(
     command: Callable[..., None], kind: Callable[[str], object] = Path
 ) -> Callable[[str, Mapping[str, Any]], int]:
-    """The function of a command; its argument, if it has one, is a path or of another kind."""
+    """The function of a command, whose argument is a path or of another kind."""
     def call(argument: str, options: Mapping[str, Any]) -> int:
-        command(*([kind(argument)] if argument else []), **options)
+        command(kind(argument), **options)
         return ExitCode.OK
 
     return call
@@ -80,5 +85,5 @@ _FUNCTIONS: Mapping[str, Callable[[str, Mapping[str, Any]], int]] = {
     'train': lambda program, options: _train(program, **options),
     'experiment': _command(experiment, str),
     **{command.__name__: _command(command) for command in (analyze, localize, explain, shrink)},
-    'case-study': _command(case_study),
+    'case-study': _report,
 }

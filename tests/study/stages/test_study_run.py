@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from studies import asked, run_study, sittings_of, smoke_config, stand_in
 
-from taxinet_ros.cli.study import case_study
+from taxinet_ros.cli.study.case_study import run_case_study
 from taxinet_ros.errors import InfraError, RecordError, UsageError
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.plan import stages
@@ -293,16 +293,15 @@ def test_f1_given_a_full_disk_at_the_first_file_then_the_error_names_it(tmp_path
     def refuse(record: object, kind: str, key: str, values: object) -> None:
         raise OSError(28, 'No space left on device', str(tmp_path / 'study' / RECORD_NAME))
 
-    options = case_study.CaseStudyOptions(out=tmp_path / 'study', scale=0.005)
+    out = tmp_path / 'study'
     with monkeypatch.context() as full:
         full.setattr('taxinet_ros.files.record.Record.put', refuse)
         with pytest.raises(OSError, match='No space left'):
-            case_study.run_case_study(options)
-    monkeypatch.setattr(case_study.StudyRun, 'run', lambda run: 0)
+            run_case_study(out=out, scale=0.005)
+    monkeypatch.setattr(StudyRun, 'run', lambda run: 0)
     with pytest.raises(UsageError, match=r'--resume: .*: no study of taxinet case-study'):
-        case_study.run_case_study(dataclasses.replace(options, resume=True, scale=None))
-    assert case_study.run_case_study(
-        dataclasses.replace(options, out=tmp_path / 'other')) == 0
+        run_case_study(out=out, resume=True)
+    assert run_case_study(out=tmp_path / 'other', scale=0.005) == 0
 
 
 @pytest.mark.parametrize('how', ['refused', 'broken', 'code'])
