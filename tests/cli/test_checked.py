@@ -20,13 +20,12 @@ from taxinet_ros.campaign import experiment, learned_result
 from taxinet_ros.campaign.record import table
 from taxinet_ros.cli.checked import RECORD_NAMES, check_output, outputs
 from taxinet_ros.cli.main import _exit_code, app
+from taxinet_ros.cli.study import improve
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.assurance import judge
 from taxinet_ros.extras.evidence import evidence
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.study.improve import options as improve_options
-from taxinet_ros.study.stages import config
 from taxinet_ros.training.data import dataset_folder, image_folder, unfinished
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
@@ -107,7 +106,7 @@ def test_given_the_names_of_records_then_all_are_known():
         fault_localisation.CSV_NAME, fault_localisation.PARQUET_NAME,
         fault_localisation.JSON_NAME, judge.TRIALS_NAME, judge.ALARMS_NAME,
         judge.RESULT_NAME,
-        config.STUDY_NAME, improve_options.FACTS_NAME,
+        improve.ROUNDS_NAME,
         evidence.JSON_NAME, evidence.MANIFEST_NAME, dataset_folder.LABELS, dataset_folder.FACTS,
         image_folder.FOREIGN_LABELS,
     }

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import falsify_samples as toy
 import pytest
-from journal_samples import rewrite
 
 from taxinet_ros.analysis.campaign.report import stack_sentences
 from taxinet_ros.analysis.runs.campaign import read_runs
@@ -18,7 +17,7 @@ from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.study.stages.log import StageLog, stack_warning
+from taxinet_ros.study.stages.record import StageRecord, stack_warning
 
 ELSEWHERE = {**provenance(), 'processor': 'Another One', 'numpy': '0.1'}
 
@@ -96,15 +95,12 @@ def test_provenance_of_several_sittings_is_a_note_of_the_gate(tmp_path, monkeypa
     assert 'note: the runs were made on different machines or versions: processor ' in out
 
 
-def test_provenance_of_each_stage_of_a_study_is_logged_and_compared(tmp_path):
-    with StageLog(tmp_path) as log:
-        log.write('begin', 'falsify', identity='i', runs=3, resumed=False)
-        assert log.records['falsify'].stacks == (dict(provenance()),)
-        assert stack_warning(log.records) == ''
-    path = tmp_path / 'stages.jsonl'
-    rewrite(path, lambda events: events[0]['provenance'].update(numpy='0.1'))
-    with StageLog(tmp_path) as log:
-        assert f'numpy 0.1 | {provenance()["numpy"]}' in stack_warning(log.records)
+def test_provenance_of_each_stage_of_a_study_is_recorded_and_compared():
+    begun = StageRecord().started('i', 3, resumed=False)
+    assert begun.stacks == (dict(provenance()),)
+    assert stack_warning({'falsify': begun}) == ''
+    other = StageRecord(stacks=({**provenance(), 'numpy': '0.1'},))
+    assert f'numpy 0.1 | {provenance()["numpy"]}' in stack_warning({'falsify': other})
 
 
 @pytest.mark.parametrize(
