@@ -11,16 +11,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from taxinet_ros.analysis.fault_localisation import Blame
-from taxinet_ros.analysis.odd.coverage import OddCoverage, odd_coverage
-from taxinet_ros.analysis.runs.campaign import read_runs
-from taxinet_ros.campaign.odd.odd_file import Odd
 from taxinet_ros.campaign.rates import (
     ProgramRate,
     count_kinds,
@@ -31,7 +27,7 @@ from taxinet_ros.campaign.rates import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.extras.evidence.inputs import CampaignInput, ResultsInput
+from taxinet_ros.extras.evidence.inputs import CampaignInput
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Of the robustness."""
@@ -235,48 +231,3 @@ def counts_json(campaigns: Sequence[CampaignInput], specs: Sequence[str]) -> dic
         'off_runway': share_json(pooled(known)) if known and len(known) == len(off) else None,
         'infra': infra_json(campaigns),
     }
-
-
-def domain_of(
-    campaigns: Sequence[CampaignInput], odd: Odd, spec: str, limit: float | None
-) -> OddCoverage:
-    """What campaigns of one system cover of an ODD.
-
-    Args:
-        campaigns: the campaigns.
-        odd: the domain.
-        spec: formula that defines failure.
-        limit: count the cells that fail less often than this; None: do not.
-
-    Raises:
-        UsageError: no run was judged.
-    """
-    runs = [
-        replace(read_runs(one.folder, spec), label=one.name) for one in campaigns
-    ]
-    return odd_coverage(odd, runs, limit=limit)
-
-
-def domain_verdict(found: OddCoverage) -> tuple[Verdict, str]:
-    """Whether every feasible pair of cells has a judged run, and a sentence on it.
-
-    Gaps refute nothing: what happens in them is not known.
-    """
-    pairs = next((one for one in found.strengths if one.t == 2), found.strengths[0])
-    name = 'pairs of cells' if pairs.t == 2 else 'cells'
-    words = f'{pairs.covered:,} of {pairs.feasible:,} feasible {name} of {found.odd.name} were run'
-    return (
-        Verdict.SUPPORTED if pairs.covered == pairs.feasible else Verdict.UNDETERMINED
-    ), words
-
-
-def cause_verdict(one: ResultsInput) -> tuple[Verdict, str]:
-    """Whether every failed run examined is attributed to a part, and a sentence on it."""
-    blame, examined = one.figures['blame'], one.figures['looked_into']
-    network, controller = blame[Blame.PERCEPTION], blame[Blame.CONTROLLER]
-    words = (
-        f'{network + controller:,} of {examined:,} failed runs examined are attributed: '
-        f'{network:,} to the network, {controller:,} to controller or formula'
-    )
-    known = network + controller == examined
-    return Verdict.SUPPORTED if known else Verdict.UNDETERMINED, words

@@ -42,6 +42,9 @@ MONITOR_NAME = 'assurance.json'
 _JUDGED_OPTIONS = (
     'program', 'perception', 'controller', 'monitor', 'fallbacks', 'runs', 'seed', 'fingerprints',
 )
+RECORD = LEDGER_NAME
+_FILES = (FACTS_NAME, RECORD, CSV_NAME, PARQUET_NAME)
+"""Of a campaign."""
 TRUTH = 'truth'
 """The perception without a network."""
 OnBag = Callable[[Path], None]
@@ -98,13 +101,11 @@ def read_requirement(given: str) -> Requirement:
         is_file = Path(given).is_file()
     except (OSError, ValueError):  # a text that is too long for a name, or has a zero
         is_file = False
-    if not is_file:
-        return requirement_of(given, f'--requirement {given:.60}')
     try:
-        text = Path(given).read_bytes().decode()
+        text = Path(given).read_bytes().decode() if is_file else given
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'--requirement {given}: cannot be read ({error})') from error
-    return requirement_of(text, f'--requirement {given}')
+    return requirement_of(text, f'--requirement {given:.60}')
 
 
 def requirement_of(text: str, where: str) -> Requirement:
@@ -166,23 +167,17 @@ class CampaignInput:
         }
 
 
-def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput:
+def read_campaign(folder: Path, name: str, on_bag: OnBag) -> CampaignInput:
     """Read a finished campaign and check everything that it has checksums of.
 
     Args:
-        path: its folder, or the table in it.
+        folder: its folder.
+        name: name to record; '' for that of its folder.
         on_bag: called with each bag before it is checked, which takes time.
 
     Raises:
-        UsageError: it is no campaign, a table alone, unfinished, or damaged.
+        UsageError: it is no campaign, unfinished, or damaged.
     """
-    folder = path.parent if path.is_file() and path.name == PARQUET_NAME else path
-    if path.is_file() and not (folder / LEDGER_NAME).is_file():
-        raise UsageError(
-            f'{path}: a table alone is no evidence: without {FACTS_NAME} and {LEDGER_NAME} beside '
-            'it, program, formula, network and scenes cannot be bound to its rows by hash; name '
-            "the campaign's folder"
-        )
     recorded = open_campaign(folder)
     if not (folder / FACTS_NAME).is_file():
         raise UsageError(f'{folder}: has no {FACTS_NAME}; restore it')
@@ -201,11 +196,8 @@ def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput
         raise UsageError(f'{folder}: has no run')
     _refuse_damaged(folder, on_bag)
     return CampaignInput(
-        folder=folder, name=folder.resolve().name, recorded=recorded, facts=facts,
-        files={
-            name: file_sha256(folder / name)
-            for name in (FACTS_NAME, LEDGER_NAME, CSV_NAME, PARQUET_NAME)
-        },
+        folder=folder, name=name or folder.resolve().name, recorded=recorded, facts=facts,
+        files={file: file_sha256(folder / file) for file in _FILES},
         bags={
             row.run_id: bag_sha256(bag) for row in recorded.rows
             if (bag := recorded.bag(row)) is not None
@@ -247,15 +239,18 @@ def bag_sha256(bag: Path) -> str:
 
 
 def read_campaigns(
-    paths: Sequence[Path], on_bag: OnBag = lambda bag: None
+    paths: Sequence[Path], names: Sequence[str], on_bag: OnBag
 ) -> tuple[CampaignInput, ...]:
-    """Read several campaigns, each once.
+    """Read several campaigns, each once, under these names if there are any.
 
     Raises:
         UsageError: as :func:`read_campaign`; or two of them are the same, or share a run.
     """
     seen: dict[tuple[Any, ...], CampaignInput] = {}
-    found = tuple(read_campaign(path, on_bag) for path in paths)
+    found = tuple(
+        read_campaign(path, name, on_bag)
+        for path, name in zip(paths, names or [''] * len(paths), strict=True)
+    )
     for one in found:
         system = digest_of(one.system)
         for row in one.rows:
@@ -353,18 +348,20 @@ class ResultsInput:
 
     Attributes:
         folder: their folder.
-        files: SHA-256 of files, first the summary, which has the digests of the rest.
-        campaigns: indices of the campaigns.
+        summary: name of the summary, which has the digests of the rest.
+        files: SHA-256 of files, the summary among them.
+        campaigns: ids of the campaigns.
         figures: the findings.
     """
 
     folder: Path
+    summary: str
     files: Mapping[str, str]
-    campaigns: tuple[int, ...]
+    campaigns: tuple[str, ...]
     figures: Mapping[str, Any]
 
 
-def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInput:
+def read_localisation(folder: Path, campaigns: Mapping[str, CampaignInput]) -> ResultsInput:
     """Read the summary of a localisation, and find its campaign by its trials.
 
     Raises:
@@ -386,10 +383,10 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Resul
     except (StopIteration, LookupError, TypeError) as error:
         raise UsageError(f'{path}: damaged ({error!r}); localize again') from error
     found = [
-        number for number, one in enumerate(campaigns)
+        name for name, one in campaigns.items()
         if all(
-            facts.get(name) == one.facts.get(name)
-            for name in ('program_sha256', 'seed', 'specs', 'perception_sha256')
+            facts.get(fact) == one.facts.get(fact)
+            for fact in ('program_sha256', 'seed', 'specs', 'perception_sha256')
         ) and runs and runs <= {row.run_id for row in one.recorded.counterexamples}
     ]
     if len(found) != 1:
@@ -399,12 +396,13 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Resul
         )
         raise UsageError(f'{folder}: {why}')
     return ResultsInput(
-        folder=folder, campaigns=(found[0],), files={summary.name: file_sha256(summary)},
+        folder=folder, summary=summary.name, campaigns=(found[0],),
+        files={summary.name: file_sha256(summary)},
         figures={name: value for name, value in sealed.values.items() if name != 'made_on'},
     )
 
 
-def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInput:
+def read_monitor(folder: Path, campaigns: Mapping[str, CampaignInput]) -> ResultsInput:
     """Read the judgement of a monitor, and find the campaigns that it is about.
 
     Those are of the same network, without a monitor or with the same one and a judged fallback.
@@ -424,7 +422,7 @@ def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInp
     except (LookupError, TypeError, ValueError) as error:
         raise UsageError(f'{path}: is of another form ({error!r}); judge again') from error
     about = tuple(
-        number for number, one in enumerate(campaigns)
+        name for name, one in campaigns.items()
         if network and network == one.facts['perception_sha256'] and (
             parts_of(str(one.facts.get('controller', ''))) is None
             or one.facts.get('controller_sha256') in digests.values()
@@ -437,7 +435,7 @@ def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInp
             'named here ran that network without a monitor, or with this monitor and fallback'
         )
     return ResultsInput(
-        folder=folder, campaigns=about, figures=figures,
+        folder=folder, summary=path.name, campaigns=about, figures=figures,
         files={name: file_sha256(folder / name)
                for name in (path.name, *sealed.files, *sealed.journals)},
     )

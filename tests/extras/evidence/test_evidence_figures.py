@@ -16,9 +16,11 @@ from taxinet_ros.extras.evidence.evidence import EvidenceOptions, collect, parse
 from taxinet_ros.extras.evidence.inputs import read_requirement
 
 
-def collected(*folders, **options):
+def collected(*folders, requirement=None, **options):
+    words = None if requirement is None else read_requirement(requirement)
     return collect(
-        EvidenceOptions(campaigns=folders, **options), folders[0].parent / 'evidence'
+        EvidenceOptions(campaigns=folders, requirement=words, **options),
+        folders[0].parent / 'evidence',
     ).content
 
 
@@ -302,13 +304,10 @@ def test_given_campaigns_of_two_networks_then_the_monitor_is_that_of_one(tmp_pat
 # Refused -----------------------------------------------------------------------------------------
 
 
-def test_given_a_table_alone_then_it_is_refused_with_what_is_missing(tmp_path):
+def test_given_a_table_alone_then_it_is_refused_by_name(tmp_path):
     folder = planted(tmp_path / 'a', [PASS])
-    shutil.copy(folder / 'runs.parquet', tmp_path / 'mine.parquet')
-    with pytest.raises(UsageError, match=r'mine\.parquet: a table alone is no evidence: without '
-                       r'campaign\.json and ledger\.jsonl'):
-        collected(tmp_path / 'mine.parquet')
-    assert collected(folder / 'runs.parquet')['campaigns'][0]['name'] == 'a'
+    with pytest.raises(UsageError, match=r'runs\.parquet: not a campaign'):
+        collected(folder / 'runs.parquet')
 
 
 def damage(path, old, new):

@@ -19,15 +19,9 @@ from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.cli.analysis.localize import run_localize
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.evidence import verify as verifying
-from taxinet_ros.extras.evidence.argument import (
-    Reference,
-    argument_values,
-    goals,
-    mermaid,
-    open_goal,
-    whole,
-)
+from taxinet_ros.extras.evidence.argument import goal, goals, mermaid, numbered, reference, whole
 from taxinet_ros.extras.evidence.evidence import manifest_text
+from taxinet_ros.extras.evidence.figures import Verdict
 from taxinet_ros.extras.evidence.verify import VerifyOptions, value_differences, verify
 
 TAXINET = Path(sys.executable).with_name('taxinet')
@@ -191,7 +185,7 @@ def test_given_a_file_added_then_it_is_named(tmp_path):
     (lambda v: v['systems'][0]['claim'].update(verdict='supported'), r'claim\.verdict: is '),
     (lambda v: v['items']['system-1/network'].update(sha256='0' * 64), r'network\.sha256: is '),
     (lambda v: v.update(extra=1), 'extra: is not of these inputs'),
-    (lambda v: v['systems'][0].pop('odd'), r'systems\[system-1\]\.odd: is missing'),
+    (lambda v: v['systems'][0].pop('odd'), r'systems\[0\]\.odd: is missing'),
     (lambda v: v.pop('campaigns'), 'a value is missing or of another form'),
     (lambda v: v.update(schema='taxinet-evidence-9'), 'is of schema'),
 ])
@@ -292,9 +286,9 @@ def test_given_values_that_differ_then_each_place_is_named_once():
     written = {'a': [{'id': 'x', 'n': 1}, 2], 'b': True, 'c': 1, 'e': [1]}
     now = {'a': [{'id': 'x', 'n': 1.0}, 3], 'b': 1, 'd': None, 'e': []}
     assert list(value_differences(written, now)) == [
-        'a[x].n: is 1, of these inputs it is 1.0', 'a[1]: is 2, of these inputs it is 3',
+        'a[0].n: is 1, of these inputs it is 1.0', 'a[1]: is 2, of these inputs it is 3',
         'b: is True, of these inputs it is 1', 'c: is not of these inputs', 'd: is missing',
-        'e: is [1], of these inputs it is []',
+        'e: is missing', 'e[0]: is not of these inputs',
     ]
     assert list(value_differences(written, written)) == []
 
@@ -314,9 +308,9 @@ def test_given_the_argument_then_its_solutions_have_hashes_and_open_goals_none(p
 
 
 def test_given_an_argument_then_mermaid_draws_each_element_once_and_joins_it():
-    values = argument_values(whole(
-        'top', [open_goal('left', 'no runs'), open_goal('right', 'no runs')],
-        [Reference('beside')], strategy='argue over both',
+    values = numbered(whole(
+        'top', [goal(side, Verdict.UNDETERMINED, 'no runs') for side in ('left', 'right')],
+        [reference('beside')], strategy='argue over both',
     ))
     assert values['why'] == 'of its parts: 2 undetermined'
     assert mermaid(values).splitlines() == [
