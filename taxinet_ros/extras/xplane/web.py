@@ -15,8 +15,7 @@ import http.client
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import quote
 
 from taxinet_ros.core.datarefs import split_name
@@ -32,21 +31,13 @@ _MOST_BYTES = 1 << 22
 _T = TypeVar('_T')
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Dataref:
-    """What the API tells about a dataref.
-
-    Attributes:
-        id: number in this session of X-Plane.
-        type: of its values, as the API calls it.
-        writable: whether it can be set.
-        index: of the element that is meant; None for all of it.
-    """
+class Dataref(NamedTuple):
+    """A dataref by its number in this session of X-Plane; an index means one of its elements."""
 
     id: int
     type: str
     writable: bool
-    index: int | None
+    element: int | None
 
 
 class WebApi:
@@ -121,9 +112,9 @@ class WebApi:
             value = told['data']
             if isinstance(value, str):
                 return base64.b64decode(value).partition(b'\0')[0].decode('utf-8', 'replace')
-            if isinstance(value, list) and dataref.index is None:
+            if isinstance(value, list) and dataref.element is None:
                 return tuple(_finite(one) for one in value)
-            return _finite(value if dataref.index is None else value[dataref.index])
+            return _finite(value if dataref.element is None else value[dataref.element])
         except (KeyError, IndexError, TypeError, ValueError, OverflowError):
             raise self._malformed(name, told) from None
 
@@ -137,7 +128,7 @@ class WebApi:
             raise failed(InfraKind.PROTOCOL, f'{self.words}: {name} is read-only')
         change: Callable[[float], float] = round if dataref.type.startswith('int') else float
         number = [change(one) for one in value] if isinstance(value, tuple) else change(value)
-        element = '' if dataref.index is None else f'?index={dataref.index}'
+        element = '' if dataref.element is None else f'?index={dataref.element}'
         self._ask(
             'PATCH', f'{self._api}/datarefs/{dataref.id}/value{element}', {'data': number}
         )
@@ -172,8 +163,7 @@ class WebApi:
                 index = None
             try:
                 found = Dataref(
-                    id=told['id'], type=str(told['value_type']),
-                    writable=bool(told['is_writable']), index=index,
+                    told['id'], str(told['value_type']), bool(told['is_writable']), index
                 )
             except KeyError:
                 raise self._malformed(name, told) from None

@@ -24,8 +24,7 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.extras.xplane.camera import OpenScreen, ViewFromXPlane
-from taxinet_ros.extras.xplane.screen import Display, Screen
+from taxinet_ros.extras.xplane.camera import Display, OpenScreen, Screen, ViewFromXPlane
 from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
 from taxinet_ros.extras.xplane.simulator import (
     HELD,

@@ -17,14 +17,14 @@ from fake_xplane import FakeScreen, FakeXPlane, setup_of
 
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
 from taxinet_ros.extras.xplane.commands import xplane_doctor
-from taxinet_ros.extras.xplane.doctor import Doctor, Finding
-from taxinet_ros.extras.xplane.screen import Display
+from taxinet_ros.extras.xplane.doctor import Finding, findings
+from taxinet_ros.extras.xplane.camera import Display
 
 ALL = ('answer', 'values', 'pause', 'start', 'view', 'pictures', 'driving')
 
 
 def examine(sim: FakeXPlane, **more: object) -> dict[str, Finding]:
-    found = list(Doctor(setup_of(sim, **more), open_screen=lambda *_: FakeScreen(sim)).findings())
+    found = list(findings(setup_of(sim, **more), lambda *_: FakeScreen(sim)))
     assert [one.name for one in found] == list(ALL)
     return {one.name: one for one in found}
 

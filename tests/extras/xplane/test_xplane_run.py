@@ -21,8 +21,13 @@ from taxinet_ros.core.world import close_world, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.extras.xplane import camera as camera_module
 from taxinet_ros.extras.xplane import world as world_module
-from taxinet_ros.extras.xplane.camera import ViewFromXPlane, XPlaneCamera
-from taxinet_ros.extras.xplane.screen import check_picture, developed, field_of_view_deg
+from taxinet_ros.extras.xplane.camera import (
+    ViewFromXPlane,
+    XPlaneCamera,
+    check_picture,
+    developed,
+    field_of_view_deg,
+)
 from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup, read_setup
 from taxinet_ros.extras.xplane.simulator import XPlane, pose_of
 from taxinet_ros.extras.xplane.sky import time_settings, weather_settings, zulu
@@ -62,11 +67,11 @@ def test_the_aircraft_is_where_the_state_is(sim, wire):
     wanted = pose_of(SCENE, state)
     value = {name: sim.values[POSITION + name] for name in
              ('latitude', 'longitude', 'y_agl', 'true_psi', 'theta', 'phi')}
-    north_m = (value['latitude'] - wanted.position.latitude_deg) * 111_132
-    east_m = (value['longitude'] - wanted.position.longitude_deg) * 75_500
+    north_m = (value['latitude'] - wanted.latitude_deg) * 111_132
+    east_m = (value['longitude'] - wanted.longitude_deg) * 75_500
     assert math.hypot(north_m, east_m) < 0.02
     assert value['y_agl'] == pytest.approx(state.z_m, abs=0.02)
-    assert value['true_psi'] == pytest.approx(wanted.position.heading_deg, abs=0.05)
+    assert value['true_psi'] == pytest.approx(wanted.heading_deg, abs=0.05)
     assert value['theta'] == pytest.approx(-math.degrees(state.pitch_rad), abs=0.05)
     assert value['phi'] == pytest.approx(math.degrees(state.roll_rad), abs=0.05)
     assert sim.values['sim/time/paused'] == 1
