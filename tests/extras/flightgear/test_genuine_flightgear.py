@@ -40,8 +40,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('XDG_CACHE_HOME', str(tmp_path_factory.mktemp('cache')))
         patch.setenv(client.ADDRESS, f'127.0.0.1:{port}')
-        options = process.StartOptions(host='127.0.0.1', port=port)
-        with process.started(options) as started:
+        with process.started('127.0.0.1', port) as started:
             yield
             assert not started.dead
 
@@ -119,7 +118,6 @@ def test_given_a_port_that_is_taken_when_started_then_the_line_names_it(
     running: None, tmp_path: Path
 ) -> None:
     host, port = client.flightgear_address()
-    options = process.StartOptions(host=host, port=port)
     with pytest.raises(UsageError, match=f'{port}: Address already in use; choose another'), \
-            process.started(options):
+            process.started(host, port):
         pass
