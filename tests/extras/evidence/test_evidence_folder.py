@@ -15,7 +15,8 @@ from planted_evidence import FAIL, PASS, judged_monitor, planted
 
 import taxinet_ros as tx
 from taxinet_ros.campaign.past_runs.localisation import make_localize_options
-from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.cli.analysis.localize import run_localize
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.evidence import verify as verifying
@@ -41,7 +42,7 @@ def driven(tmp_path_factory) -> Path:
         capture_output=True, text=True, check=False,
     )
     assert done.returncode in (0, 1), done.stderr
-    outcomes = {row.outcome for row in read_ledger(found / 'ledger.jsonl').rows}
+    outcomes = {row.outcome for row in open_campaign(found).rows}
     assert outcomes == {PASS, FAIL}
     return found
 
@@ -171,12 +172,9 @@ def test_given_a_damaged_or_missing_file_then_verification_names_it_with_code_2(
     assert any(name in line for line in found.damaged)
     path.unlink()
     assert any(name in line for line in verified(out).damaged)
-
-
-def test_given_a_file_added_then_it_is_named(tmp_path):
-    out = made(tmp_path)
     (out / 'more.txt').write_text('x', encoding='utf-8')
-    assert any('more.txt: is not listed' in line for line in verified(out).damaged)
+    if name != 'MANIFEST':
+        assert any('more.txt: is not listed' in line for line in verified(out).damaged)
 
 
 @pytest.mark.parametrize(('change', 'words'), [
@@ -262,18 +260,14 @@ def test_given_everything_moved_together_then_all_is_found(tmp_path):
 
 def test_given_a_campaign_that_went_on_since_then_it_is_named_as_changed(tmp_path):
     out = made(tmp_path)
+    assert verified(out, sample=3).code == ExitCode.INCOMPLETE
+    assert any('no run has its bag here' in line for line in verified(out, sample=3).unchecked)
     with Ledger(tmp_path / 'found' / 'ledger.jsonl') as ledger:
         ledger.intent(3, 'planted-s0-00003')
     found = verified(out)
     assert found.code == ExitCode.USAGE
     assert any('ledger.jsonl: has changed since the evidence was written' in line
                for line in found.damaged)
-
-
-def test_given_no_bags_then_runs_are_unclear_and_not_said_to_repeat(tmp_path):
-    found = verified(made(tmp_path), sample=3)
-    assert found.code == ExitCode.INCOMPLETE
-    assert any('no run has its bag here' in line for line in found.unchecked)
 
 
 def test_given_a_folder_of_something_else_then_it_is_refused(tmp_path):
