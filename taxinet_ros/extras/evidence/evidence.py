@@ -78,9 +78,6 @@ class EvidenceOptions:
         networks: files of networks that have moved.
         recorded: paths to record of inputs that have moved since they were recorded.
         names: names to record of the campaigns, if they have moved.
-
-    Raises:
-        UsageError: no campaign, or a claim that is no share.
     """
 
     campaigns: tuple[Path, ...]
@@ -105,11 +102,7 @@ class EvidenceOptions:
 
 
 def parse_claim(text: str) -> float:
-    """A share as people write it: ``0.99``, ``99%`` or ``99 %``.
-
-    Raises:
-        UsageError: it is no number.
-    """
+    """A share as people write it: ``0.99``, ``99%`` or ``99 %``."""
     number, percent, rest = text.strip().partition('%')
     try:
         value = float(number)
@@ -142,9 +135,6 @@ def collect(
         options: what is asked for.
         folder: folder of the evidence, to which paths of inputs are relative.
         on_progress: called with the stage, what is done of it, and how much there is.
-
-    Raises:
-        UsageError: an input is refused; the line names it.
     """
     bags = sum(1 for one in options.campaigns for _ in one.glob(f'*/*.{STORAGE_ID}'))
     done = itertools.count(1)
@@ -427,10 +417,6 @@ def make_evidence(
 
     Returns:
         The evidence.
-
-    Raises:
-        UsageError: an input is refused, or the folder is not new.
-        OSError: it cannot be written.
     """
     check_new(out)
     found = collect(options, out, on_progress)

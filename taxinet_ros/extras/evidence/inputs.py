@@ -92,11 +92,7 @@ class Requirement:
 
 
 def read_requirement(given: str) -> Requirement:
-    """Read a requirement from a text ``ID: wording``, or from a file that contains one.
-
-    Raises:
-        UsageError: it has no identifier or no wording, or the file cannot be read.
-    """
+    """Read a requirement from a text ``ID: wording``, or from a file that contains one."""
     try:
         is_file = Path(given).is_file()
     except (OSError, ValueError):  # a text that is too long for a name, or has a zero
@@ -114,9 +110,6 @@ def requirement_of(text: str, where: str) -> Requirement:
     Args:
         text: the whole text.
         where: beginning of the error message.
-
-    Raises:
-        UsageError: it has no identifier or no wording, or is too long.
     """
     found = _ID.fullmatch(text)
     if found is None or len(text) > _LONGEST_REQUIREMENT:
@@ -174,9 +167,6 @@ def read_campaign(folder: Path, name: str, on_bag: OnBag) -> CampaignInput:
         folder: its folder.
         name: name to record; '' for that of its folder.
         on_bag: called with each bag before it is checked, which takes time.
-
-    Raises:
-        UsageError: it is no campaign, unfinished, or damaged.
     """
     recorded = open_campaign(folder)
     if not (folder / FACTS_NAME).is_file():
@@ -216,11 +206,7 @@ def _refuse_damaged(folder: Path, on_bag: OnBag = lambda bag: None) -> None:
 
 
 def _network_of(recorded: RecordedCampaign) -> str | None:
-    """Hash of the network of the runs: ``taxinet run`` records it with each run only.
-
-    Raises:
-        UsageError: its runs had several networks, or another one than its facts say.
-    """
+    """Hash of the network of the runs: ``taxinet run`` records it with each run only."""
     named: str | None = recorded.facts.get('perception_sha256')
     used = {row.fingerprint for row in recorded.judged if row.fingerprint or not named}
     all_of_them = sorted(used | ({named} if named else set()))
@@ -241,11 +227,7 @@ def bag_sha256(bag: Path) -> str:
 def read_campaigns(
     paths: Sequence[Path], names: Sequence[str], on_bag: OnBag
 ) -> tuple[CampaignInput, ...]:
-    """Read several campaigns, each once, under these names if there are any.
-
-    Raises:
-        UsageError: as :func:`read_campaign`; or two of them are the same, or share a run.
-    """
+    """Read several campaigns, each once, under these names if there are any."""
     seen: dict[tuple[Any, ...], CampaignInput] = {}
     found = tuple(
         read_campaign(path, name, on_bag)
@@ -325,11 +307,7 @@ def _why_unusable(path: Path, sha256: str) -> str:
 
 
 def usable_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> str:
-    """The word or file by which the recorded perception can be loaded here.
-
-    Raises:
-        UsageError: it is gone, or another one now.
-    """
+    """The word or file by which the recorded perception can be loaded here."""
     word, sha256 = str(facts['perception']), str(facts['perception_sha256'])
     why = ''
     for candidate in (*given, word):
@@ -362,11 +340,7 @@ class ResultsInput:
 
 
 def read_localisation(folder: Path, campaigns: Mapping[str, CampaignInput]) -> ResultsInput:
-    """Read the summary of a localisation, and find its campaign by its trials.
-
-    Raises:
-        UsageError: it is none, is damaged, or is not about one of the campaigns.
-    """
+    """Read the summary of a localisation, and find its campaign by its trials."""
     path, summary = folder / TRIALS_NAME, folder / LOCALISE_NAME
     for needed in (summary, path):
         if not needed.is_file():
@@ -406,9 +380,6 @@ def read_monitor(folder: Path, campaigns: Mapping[str, CampaignInput]) -> Result
     """Read the judgement of a monitor, and find the campaigns that it is about.
 
     Those are of the same network, without a monitor or with the same one and a judged fallback.
-
-    Raises:
-        UsageError: it is none, is damaged, or is about none of the campaigns.
     """
     path = folder / MONITOR_NAME
     if not path.is_file():

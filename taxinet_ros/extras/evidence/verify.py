@@ -85,9 +85,6 @@ class VerifyOptions:
         networks: files of networks that have moved.
         sample: number of runs to drive again.
         seed: chooses them.
-
-    Raises:
-        UsageError: a negative number.
     """
 
     folder: Path
@@ -112,9 +109,6 @@ def verify(
     Args:
         options: what and how.
         on_progress: called with the stage, what is done of it, and how much there is.
-
-    Raises:
-        UsageError: the folder is none of evidence.
     """
     found = Verification()
     _check_files(options.folder, found)

@@ -47,11 +47,7 @@ def _of(path: str) -> str:
 
 
 def flightgear_address() -> tuple[str, int]:
-    """Host and port of the FlightGear to ask.
-
-    Raises:
-        UsageError: the environment variable holds something else.
-    """
+    """Host and port of the FlightGear to ask."""
     told = os.environ.get(ADDRESS) or DEFAULT_ADDRESS
     host, _, port = told.rpartition(':')
     if not (host and port.isascii() and port.isdigit() and 0 < int(port) < 65536):
@@ -95,11 +91,7 @@ class FlightGear:
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Context in which no other process of this machine asks this FlightGear.
-
-        Raises:
-            InfraError: the lock cannot be made.
-        """
+        """Context in which no other process of this machine asks this FlightGear."""
         name = f'taxinet-flightgear-{os.getuid()}-{self.host.replace("/", "_")}-{self.port}.lock'
         try:
             with Path(tempfile.gettempdir(), name).open('a') as lock:
@@ -109,20 +101,12 @@ class FlightGear:
             raise failed(InfraKind.SIM, f'{error.filename or name}: {error.strerror}') from error
 
     def value(self, path: str) -> Any:
-        """Value of a property; None if there is none.
-
-        Raises:
-            InfraError: there is no answer, or none of FlightGear.
-        """
+        """Value of a property; None if there is none."""
         self._ask(self._connection, 'GET', _of(path))
         return self._parsed(self._answer(self._connection, _of(path)))
 
     def run(self, script: str) -> None:
-        """Run a Nasal script within one frame.
-
-        Raises:
-            InfraError: as for :meth:`value`.
-        """
+        """Run a Nasal script within one frame."""
         body = {'name': '', 'children': [{'name': 'script', 'value': script}]}
         self._ask(self._connection, 'POST', _RUN, json.dumps(body))
         answer = self._answer(self._connection, _RUN)
@@ -133,9 +117,6 @@ class FlightGear:
         """Value of a property and the window's newest picture, in the time of one of them.
 
         The picture is (height, width, 3) uint8 RGB, read-only.
-
-        Raises:
-            InfraError: as for :meth:`value`, or there is no picture.
         """
         self._ask(self._connection, 'GET', _of(path))
         self._ask(self._second, 'GET', _PICTURE)
@@ -205,11 +186,7 @@ class FlightGear:
 
 
 def check_instance(flightgear: FlightGear) -> None:
-    """Check that this is a FlightGear as ``taxinet flightgear start`` starts it.
-
-    Raises:
-        InfraError: another version, aircraft or flight model, or it is still loading.
-    """
+    """Check that this is a FlightGear as ``taxinet flightgear start`` starts it."""
     version = flightgear.value('/sim/version/flightgear')
     if not isinstance(version, str) or not version.startswith(f'{VERSION}.'):
         raise failed(

@@ -43,11 +43,7 @@ _OPTIONS = (
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of a window in pixels from ``480x288``.
-
-    Raises:
-        UsageError: not of this form, or out of range.
-    """
+    """Width and height of a window in pixels from ``480x288``."""
     width, _, height = text.partition('x')
     if not all(part.isascii() and part.isdigit() and len(part) < 6 for part in (width, height)):
         raise UsageError(f'--size {text}: expected WIDTHxHEIGHT, such as 480x288')
@@ -57,11 +53,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def find_program(name: str) -> str:
-    """Path of a program.
-
-    Raises:
-        UsageError: it is not installed.
-    """
+    """Path of a program."""
     path = os.pathsep.join([os.environ.get('PATH', os.defpath), _GAMES])
     found = shutil.which(name, path=path)
     if found is None:
@@ -88,11 +80,6 @@ def started(
         port: of it.
         airport: ICAO code of the airport whose terrain is loaded first.
         size_px: width and height of its window.
-
-    Raises:
-        UsageError: a program is missing, its folder cannot be made, the address is taken, or it is
-            no airport's code.
-        InfraError: it ends, or does not load.
     """
     if not (airport.isalnum() and airport.isascii()):
         raise UsageError(f'--at {airport}: not the code of an airport')
@@ -137,11 +124,7 @@ def _check_free(host: str, port: int) -> None:
 
 @contextlib.contextmanager
 def _display(program: str, size_px: tuple[int, int]) -> Iterator[str]:
-    """Context of a virtual display; its number is the first free one.
-
-    Raises:
-        InfraError: it does not start.
-    """
+    """Context of a virtual display; its number is the first free one."""
     # The window is put somewhere in the middle.
     screen = f'{2 * size_px[0] + 256}x{2 * size_px[1] + 256}x24'
     reading, writing = os.pipe()

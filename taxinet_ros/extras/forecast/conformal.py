@@ -108,11 +108,7 @@ class ConformalModel:
         return np.asarray(np.quantile(similar, QUANTILE, axis=1), dtype=np.float64), sizes
 
     def margin(self, confidence: float) -> float:
-        """How many usual sizes are taken off the compressed predictions.
-
-        Raises:
-            UsageError: there are too few calibration runs.
-        """
+        """How many usual sizes are taken off the compressed predictions."""
         least = least_calibration_runs(confidence)
         number = self.calibration_runs
         if number < least:
@@ -139,11 +135,7 @@ class ConformalModel:
 
 
 def least_calibration_runs(confidence: float) -> int:
-    """Fewest calibration runs for a confidence: 19 for 95 %.
-
-    Raises:
-        UsageError: it is out of range.
-    """
+    """Fewest calibration runs for a confidence: 19 for 95 %."""
     if not 0.5 <= confidence < 1:
         raise UsageError(f'--confidence {confidence:g}: needs to be within 0.5..1')
     return math.ceil(confidence / (1 - confidence) - 1e-9)
@@ -155,9 +147,6 @@ def fit(features: Floats, outcomes: Floats) -> ConformalModel:
     Args:
         features: of all runs, (R, T, F), in an order that does not depend on their outcomes.
         outcomes: of all runs, (R,).
-
-    Raises:
-        UsageError: fewer than 40 runs.
     """
     if len(outcomes) < 40:
         raise UsageError(f'{len(outcomes)} runs are too few to calibrate on; 40 are the least')

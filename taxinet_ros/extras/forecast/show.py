@@ -53,9 +53,6 @@ def calibrate_forecast(
 
     Returns:
         Exit code 0.
-
-    Raises:
-        UsageError: the campaign cannot calibrate one, or ``out`` exists.
     """
     if out.exists():
         raise UsageError(f'--out {out}: already exists; name a new file')
@@ -98,9 +95,6 @@ def check_forecast(
 
     Returns:
         Exit code: 0; 3 if the campaign is outside the guarantee, so that it tells nothing of it.
-
-    Raises:
-        UsageError: no forecast, or a campaign that cannot be compared.
     """
     forecast, campaign = read_forecast(path), open_campaign(folder)
     for confidence in confidences:
@@ -195,9 +189,6 @@ def show_forecast(
 
     Returns:
         Exit code: 0; 3 if a run is outside the guarantee.
-
-    Raises:
-        UsageError: no forecast, or a run that it cannot be applied to.
     """
     forecast = read_forecast(path)
     if at_s is not None and not 0 <= at_s <= forecast.last_step * STEP_S + 1e-9:

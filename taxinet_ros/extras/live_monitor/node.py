@@ -104,11 +104,7 @@ class LiveMonitorOptions:
 
 
 def declared_options(node: Node) -> LiveMonitorOptions:
-    """Declare the parameters of a node and validate their values.
-
-    Raises:
-        UsageError: a parameter is unknown, missing or wrong.
-    """
+    """Declare the parameters of a node and validate their values."""
     given = declare_all(node, LIVE_PARAMETERS)
     refuse_unknown(node)
     horizon_ns = round(given['horizon'] * NS_PER_S)
@@ -187,11 +183,7 @@ class LiveMonitor(Node):
     """
 
     def __init__(self, **node: Any) -> None:
-        """Create the node; ``node`` goes to :class:`rclpy.node.Node`.
-
-        Raises:
-            UsageError: a parameter is unknown, missing or wrong.
-        """
+        """Create the node; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(NAME, **node)
         self.ended: Future = Future()
         self._options = declared_options(self)

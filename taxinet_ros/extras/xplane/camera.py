@@ -56,11 +56,7 @@ class Screen(Protocol):
     """
 
     def grab(self) -> Picture:
-        """The picture now, (height, width, 3) uint8 RGB.
-
-        Raises:
-            InfraError: it cannot be had.
-        """
+        """The picture now, (height, width, 3) uint8 RGB."""
         ...
 
     def close(self) -> None:
@@ -80,10 +76,6 @@ class Display(Screen):
         Args:
             display: as ``:1``; '' for that of the environment.
             region_px: left, top, width and height; None for the first monitor.
-
-        Raises:
-            UsageError: the package mss is missing, or the region is not on the display.
-            InfraError: there is no such display.
         """
         try:
             import mss
@@ -131,9 +123,6 @@ def check_picture(picture: Picture, size_px: tuple[int, int]) -> None:
     Args:
         picture: as grabbed.
         size_px: width and height of X-Plane's window, as it says.
-
-    Raises:
-        InfraError: it is not, or does not.
     """
     height, width = picture.shape[:2]
     if (width, height) != size_px:
@@ -210,11 +199,6 @@ class ViewFromXPlane:
             xplane: running, the aircraft held and paused.
             model: the camera.
             screen: where X-Plane's picture is.
-
-        Raises:
-            InfraError: the view does not obey.
-            UsageError: the camera's picture is wider than X-Plane's can be, or has what its
-                pictures do not show.
         """
         self._xplane, self._model, self._screen = xplane, model, screen
         self._last: tuple[AircraftState, Picture] | None = None
@@ -293,10 +277,6 @@ class ViewFromXPlane:
         Args:
             state: the state.
             time_s: time of the simulation, which stands still [s].
-
-        Raises:
-            InfraError: the picture is of another size, of one colour, or does not change; or
-                something that was set for the run has changed.
         """
         picture = self._taken(state)
         # After the picture: whoever presses a key may do it any time before.
@@ -355,10 +335,6 @@ class XPlaneCamera:
             scenario: of the run.
             setup: where X-Plane is; None for the environment's.
             open_screen: connects to the display.
-
-        Raises:
-            InfraError: X-Plane fails, or there is no picture.
-            UsageError: a value in the setup cannot be used.
         """
         setup = setup or chosen_setup()
         self._scenario = scenario
@@ -375,11 +351,7 @@ class XPlaneCamera:
             raise
 
     def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
-        """Picture of a state; the light is that of the scenario for the whole run.
-
-        Raises:
-            InfraError: X-Plane fails, or does not show it.
-        """
+        """Picture of a state; the light is that of the scenario for the whole run."""
         self._xplane.place(pose_of(self._scenario, state))
         return self._view.take(state, self._time_s)
 

@@ -136,11 +136,7 @@ class XPlaneConnect:
 
 
 def parse_rows(reply: bytes, count: int) -> list[tuple[float, ...]]:
-    """Read the reply to GETD, ``RESP``: one row of values for each name; empty if it is unknown.
-
-    Raises:
-        InfraError: it is malformed, or a value is not finite.
-    """
+    """Read the reply to GETD, ``RESP``: one row of values for each name; empty if it is unknown."""
     rows, at = [], 6
     try:
         told = reply[5] if reply[:4] == b'RESP' else -1
@@ -157,11 +153,7 @@ def parse_rows(reply: bytes, count: int) -> list[tuple[float, ...]]:
 
 
 def parse_position(reply: bytes) -> tuple[float, ...]:
-    """Read the reply to GETP, ``POSI``; its first field is the gear handle, not the aircraft.
-
-    Raises:
-        InfraError: it is malformed, or of an older plug-in.
-    """
+    """Read the reply to GETP, ``POSI``; its first field is the gear handle, not the aircraft."""
     if len(reply) != _POSITION.size or reply[:4] != b'POSI':
         # 34 bytes: plug-ins before 1.3 tell latitude as a float, to a metre.
         raise _malformed(reply, f'POSI in {_POSITION.size} bytes, as of plug-in 1.3')

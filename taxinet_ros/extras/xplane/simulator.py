@@ -136,12 +136,7 @@ class XPlane:
     """
 
     def __init__(self, setup: XPlaneSetup) -> None:
-        """Wait for our turn, and connect.
-
-        Raises:
-            InfraError: nothing answers.
-            UsageError: unknown host.
-        """
+        """Wait for our turn, and connect."""
         self.setup, self._up_s = setup, 0.0
         self._watched: Iterator[Callable[[], None]] = iter(())
         with contextlib.ExitStack() as opened:
@@ -259,10 +254,6 @@ class XPlane:
             scenario: with place, time and weather.
             start: of the aircraft.
             moves: whether X-Plane will move the aircraft.
-
-        Raises:
-            InfraError: a step is not confirmed, or another aircraft is loaded.
-            UsageError: a dataref of the user cannot be written.
         """
         self.check_aircraft()
         for name in scenario.dataref_values:

@@ -68,11 +68,7 @@ class Setting:
 
 
 def major(version: str) -> int:
-    """Major version: 11 of ``11.55`` and of ``115501``.
-
-    Raises:
-        InfraError: it is none.
-    """
+    """Major version: 11 of ``11.55`` and of ``115501``."""
     head = version.partition('.')[0]
     if not (head.isascii() and head.isdigit() and len(head) > 1):
         raise failed(InfraKind.PROTOCOL, f'X-Plane {version!r:.20} is of no known version')

@@ -61,10 +61,6 @@ class WebApi:
             port: of the API (``--web_server_port`` of X-Plane).
             timeout_s: wait for each answer [s].
             tries: how often a request is sent.
-
-        Raises:
-            InfraError: nothing answers there, it is no X-Plane, or of an unknown version.
-            UsageError: unknown host.
         """
         self.words, self.version = f'web API at {host}:{port}', ''
         self._connection = http.client.HTTPConnection(address_of(host), port, timeout=timeout_s)
@@ -216,12 +212,7 @@ class WebApi:
     def _ask(
         self, method: str, path: str, content: Any = None, *, optional: bool = False
     ) -> Any:
-        """The answer to one request; None if it is optional and not there.
-
-        Raises:
-            OSError, http.client.HTTPException: the connection broke.
-            InfraError: it was refused, or the answer is no JSON.
-        """
+        """The answer to one request; None if it is optional and not there."""
         body = None if content is None else json.dumps(content).encode()
         self._connection.request(method, path, body, _HEADERS)
         response = self._connection.getresponse()

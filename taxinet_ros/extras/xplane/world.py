@@ -73,10 +73,6 @@ class XPlaneWorld(World):
             pictures: False: none will be requested.
             setup: where X-Plane is; None for the environment's.
             open_screen: connects to the display.
-
-        Raises:
-            InfraError: X-Plane fails.
-            UsageError: the scenario has a value without effect in X-Plane.
         """
         hidden = [
             one.key for one in _HIDDEN
@@ -131,12 +127,7 @@ class XPlaneWorld(World):
         )
 
     def advance(self, command: TaxiCommand) -> None:
-        """Hold a command for 0.1 s of X-Plane's time.
-
-        Raises:
-            InfraError: its time stands still, runs away or goes back, or the aircraft does not
-                move, or as no aircraft does.
-        """
+        """Hold a command for 0.1 s of X-Plane's time."""
         self._seq += 1
         self._steer(command)
         due_s = self._began_s + self._seq * PERIOD_S
