@@ -129,13 +129,7 @@ class Collected:
 def collect(
     options: EvidenceOptions, folder: Path, on_progress: Progress = lambda stage, done, of: None,
 ) -> Collected:
-    """Read all inputs and compute all figures.
-
-    Args:
-        options: what is asked for.
-        folder: folder of the evidence, to which paths of inputs are relative.
-        on_progress: called with the stage, what is done of it, and how much there is.
-    """
+    """Read all inputs and compute all figures."""
     bags = sum(1 for one in options.campaigns for _ in one.glob(f'*/*.{STORAGE_ID}'))
     done = itertools.count(1)
 
@@ -408,16 +402,7 @@ def _system_items(system: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 def make_evidence(
     options: EvidenceOptions, out: Path, on_progress: Progress = lambda stage, done, of: None,
 ) -> Collected:
-    """Collect evidence and write its folder, whole or not at all.
-
-    Args:
-        options: what is asked for.
-        out: its folder, which is new.
-        on_progress: called with the stage, what is done of it, and how much there is.
-
-    Returns:
-        The evidence.
-    """
+    """Collect evidence and write its folder, whole or not at all."""
     check_new(out)
     found = collect(options, out, on_progress)
     make_out(out.absolute().parent)

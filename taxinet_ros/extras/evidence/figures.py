@@ -73,12 +73,7 @@ class FormulaRates:
 
 
 def formula_rates(campaigns: Sequence[CampaignInput], spec: str) -> FormulaRates:
-    """Rates of one formula over campaigns of one system.
-
-    Args:
-        campaigns: campaigns that share no run.
-        spec: name of the formula.
-    """
+    """Rates of one formula over campaigns of one system."""
     def of(hit: Callable[[RunRow], bool]) -> ProgramRate:
         return pooled([rate_of(one.rows, hit, one.planned) for one in campaigns])
 
@@ -104,15 +99,7 @@ def pooled(rates: Sequence[ProgramRate]) -> ProgramRate:
 
 
 def claim_verdict(rates: FormulaRates, target: float) -> tuple[Verdict, str]:
-    """What the rates say of "satisfied in at least ``target`` of the runs".
-
-    Args:
-        rates: those of the formula.
-        target: share, 0..1.
-
-    Returns:
-        The verdict by the two-sided 95 % interval, and a sentence without its full stop.
-    """
+    """What the rates say of "satisfied in at least ``target`` of the runs"."""
     if not rates.satisfied.drawn:
         return Verdict.UNDETERMINED, rates.satisfied.why_not
     low, high = rates.ends
@@ -137,9 +124,7 @@ def interval_words(low: float, high: float) -> str:
 def share_json(found: ProgramRate, *, rated: bool = True) -> dict[str, Any]:
     """Counts of a kind of run and its rate; null where there is none.
 
-    Args:
-        found: the rate.
-        rated: False if it has no interval of its own, as runs were stopped before it was decided.
+    Not ``rated``: it has no interval, as runs were stopped before it was decided.
     """
     known = found.rate if rated else None
     return {

@@ -105,12 +105,7 @@ def read_requirement(given: str) -> Requirement:
 
 
 def requirement_of(text: str, where: str) -> Requirement:
-    """Split a requirement ``ID: wording``.
-
-    Args:
-        text: the whole text.
-        where: beginning of the error message.
-    """
+    """Split a requirement ``ID: wording``."""
     found = _ID.fullmatch(text)
     if found is None or len(text) > _LONGEST_REQUIREMENT:
         raise UsageError(
@@ -163,10 +158,7 @@ class CampaignInput:
 def read_campaign(folder: Path, name: str, on_bag: OnBag) -> CampaignInput:
     """Read a finished campaign and check everything that it has checksums of.
 
-    Args:
-        folder: its folder.
-        name: name to record; '' for that of its folder.
-        on_bag: called with each bag before it is checked, which takes time.
+    It is recorded under a name, or if that is '', that of its folder.
     """
     recorded = open_campaign(folder)
     if not (folder / FACTS_NAME).is_file():
@@ -265,10 +257,6 @@ class NetworkInput:
 
 def read_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> NetworkInput:
     """Find the recorded network and its model card.
-
-    Args:
-        facts: facts of a campaign.
-        given: files to try if it has moved.
 
     A network that is gone or has changed is no error: its training data are then unknown.
     """

@@ -356,14 +356,7 @@ def _loop_options(one: CampaignInput, out: Path, networks: tuple[str, ...]) -> L
 
 
 def run_difference(one: CampaignInput, row: RunRow, loop: Loop, out: Path) -> str:
-    """Drive a run again; the first difference, or ''.
-
-    Args:
-        one: its campaign.
-        row: its row.
-        loop: what runs it, with bags below ``out``.
-        out: an empty folder.
-    """
+    """Drive a run again; the first difference, or ''."""
     bag = one.folder / row.bag
     try:
         result = loop.run(open_recording(bag).run.request)

@@ -111,12 +111,7 @@ class FlightGearCamera:
     })
 
     def __init__(self, scenario: Scenario, *, model: CameraModel | None = None) -> None:
-        """Connect, and find the scenario's runway in FlightGear's terrain.
-
-        Args:
-            scenario: place, date, hour and weather.
-            model: replaces the scenario's camera.
-        """
+        """Connect, and find the scenario's runway in FlightGear's terrain."""
         self._model = model = model or scenario.camera_model
         self._noise = SensorNoise(scenario, model)
         # FlightGear has no exposure: the camera's is applied to its codes as light.

@@ -85,15 +85,9 @@ class ConformalModel:
     def predictions(
         self, features: Floats, moment: int, *, apart: bool = False
     ) -> tuple[Floats, Floats]:
-        """Compressed predictions at a moment, and the usual size of their excess.
+        """Compressed predictions at a moment, (R,), and the usual size of their excess, (R,).
 
-        Args:
-            features: of runs, (R, F).
-            moment: which moment.
-            apart: whether they are the training runs, each to be predicted by the others.
-
-        Returns:
-            Both (R,).
+        ``apart``: the features (R, F) are of the training runs, each to be predicted by the others.
         """
         centre, spread = self._centre[moment], self._spread[moment]  # type: ignore[attr-defined]
         known = (self.features[:, moment] - centre) / spread
@@ -120,13 +114,7 @@ class ConformalModel:
         return float(np.sort(self.excesses.max(axis=1))[rank])
 
     def bounds(self, features: Floats, moment: int, margin: float) -> Floats:
-        """Lower bounds of runs at a moment, (R,); -inf where nothing is known.
-
-        Args:
-            features: of runs, (R, F).
-            moment: which moment.
-            margin: result of :meth:`margin`.
-        """
+        """Lower bounds of runs at a moment, (R,); -inf where nothing is known."""
         predicted, sizes = self.predictions(features, moment)
         compressed = predicted - margin * sizes
         lowest = -math.asinh(_LOWEST)

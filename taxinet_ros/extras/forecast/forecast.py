@@ -279,16 +279,7 @@ def samples_of(recording: Recording, spec: str) -> Iterator[Sample]:
 def population_of_campaign(
     facts: Mapping[str, Any], spec: str, duration_s: float
 ) -> dict[str, str]:
-    """What a campaign's runs have in common, as text by name.
-
-    Args:
-        facts: facts of the campaign.
-        spec: name of the requirement.
-        duration_s: length of its runs [s].
-
-    Raises:
-        UsageError: the campaign has no such requirement.
-    """
+    """What a campaign's runs have in common, as text by name."""
     formulas = facts.get('specs', {})
     if spec not in formulas:
         raise UsageError(f'--spec {spec}: the campaign judged {", ".join(formulas) or "nothing"}')
@@ -340,18 +331,7 @@ class Runs:
 def read_forecast_runs(
     campaign: RecordedCampaign, spec: str, every_steps: int, on_run: Any = None
 ) -> Runs:
-    """Read a campaign's runs from their bags; frames are not needed.
-
-    Args:
-        campaign: the campaign.
-        spec: name of the requirement.
-        every_steps: control steps between two moments.
-        on_run: called with the number done and their total, or None.
-
-    Raises:
-        UsageError: no run may count, one ended early, they differ in length, or a bag is missing or
-            unusable.
-    """
+    """Read a campaign's runs from their bags; frames are not needed."""
     folder = campaign.folder
     rows = [row for row in campaign.judged if row.from_program]
     chosen = len(campaign.judged) - len(rows)
@@ -419,17 +399,7 @@ def calibrate(
     campaign: RecordedCampaign, *, spec: str | None = None, every_s: float = 1.0,
     on_run: Any = None,
 ) -> Forecast:
-    """Train and calibrate on a campaign's runs.
-
-    Args:
-        campaign: the campaign, of at least 40 runs drawn by the program itself.
-        spec: name of the requirement; None: the headline.
-        every_s: time between two moments [s], a multiple of the control step.
-        on_run: called with the number of runs read and their total, or None.
-
-    Raises:
-        UsageError: its runs are no fixed number of independent draws, or too few.
-    """
+    """Train and calibrate on a campaign's runs."""
     steps = every_s / STEP_S
     every_steps = round(steps) if math.isfinite(steps) else 0
     if not 1 <= every_steps <= 10_000 or abs(steps - every_steps) > 1e-6:
@@ -514,17 +484,7 @@ def outside_of_campaign(forecast: Forecast, campaign: RecordedCampaign, runs: Ru
 def outside_of_run(
     forecast: Forecast, recording: Recording, campaign: RecordedCampaign | None
 ) -> list[str]:
-    """Why a run is outside the guarantee; empty if it is not.
-
-    Args:
-        forecast: the forecast.
-        recording: the run.
-        campaign: the campaign that it belongs to, or None if that is unknown.
-
-    Raises:
-        UsageError: the campaign was not judged by the forecast's requirement.
-        BagError: it cannot be read.
-    """
+    """Why a run is outside the guarantee; empty if it is not."""
     if campaign is None:
         return ['no campaign beside it, so its program, and whether this drew it, are unknown']
     run = recording.run.request

@@ -176,20 +176,7 @@ def show_forecast(
     path: Path, bags: Sequence[Path], *, at_s: float | None, confidence: float,
     run_id: str | None, plot: Path | None, as_json: bool,
 ) -> int:
-    """Print the latest bound of each run, and draw all of them.
-
-    Args:
-        path: the forecast.
-        bags: runs.
-        at_s: only the run up to here [s]; None: all there is.
-        confidence: of the bounds.
-        run_id: which run, if a bag holds several.
-        plot: picture to write, or None.
-        as_json: print JSON.
-
-    Returns:
-        Exit code: 0; 3 if a run is outside the guarantee.
-    """
+    """Print the latest bound of each run, and draw all of them."""
     forecast = read_forecast(path)
     if at_s is not None and not 0 <= at_s <= forecast.last_step * STEP_S + 1e-9:
         raise UsageError(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,27 +47,12 @@ _LEAST_CODES = 2.0
 """Standard deviation of a picture that shows anything, in display codes."""
 
 
-class Screen(Protocol):
-    """Where pictures come from: an X11 display, as X-Plane has no interface that gives them.
+class Display:
+    """A region of an X11 display, as X-Plane has no interface that gives pictures.
 
     It runs in full screen on a display of its own (a virtual desktop, or Xvfb where OpenGL works
     there), or in a window that nothing covers.
     """
-
-    def grab(self) -> Picture:
-        """The picture now, (height, width, 3) uint8 RGB."""
-        ...
-
-    def close(self) -> None:
-        """Disconnect."""
-        ...
-
-
-OpenScreen = Callable[[str, tuple[int, int, int, int] | None], Screen]
-
-
-class Display(Screen):
-    """A region of an X11 display."""
 
     def __init__(self, display: str, region_px: tuple[int, int, int, int] | None) -> None:
         """Connect.
@@ -103,7 +87,7 @@ class Display(Screen):
         self._region = {'left': left, 'top': top, 'width': width, 'height': height}
 
     def grab(self) -> Picture:
-        """The picture now."""
+        """The picture now, (height, width, 3) uint8 RGB."""
         try:
             shot = self._mss.grab(self._region)
         except Exception as error:  # of X11, by any of its ways
@@ -117,13 +101,11 @@ class Display(Screen):
         self._mss.close()
 
 
-def check_picture(picture: Picture, size_px: tuple[int, int]) -> None:
-    """Check that a picture is of X-Plane's size and shows anything.
+OpenScreen = Callable[[str, tuple[int, int, int, int] | None], Display]
 
-    Args:
-        picture: as grabbed.
-        size_px: width and height of X-Plane's window, as it says.
-    """
+
+def check_picture(picture: Picture, size_px: tuple[int, int]) -> None:
+    """Check that a picture is of the size that X-Plane tells of its window, and shows anything."""
     height, width = picture.shape[:2]
     if (width, height) != size_px:
         raise failed(
@@ -138,12 +120,7 @@ def check_picture(picture: Picture, size_px: tuple[int, int]) -> None:
 
 
 def field_of_view_deg(model: CameraModel, size_px: tuple[int, int]) -> float:
-    """Horizontal field of view of a window that contains all of a camera's picture [deg].
-
-    Args:
-        model: the camera.
-        size_px: width and height of the window.
-    """
+    """Horizontal field of view of a window that contains all of a camera's picture [deg]."""
     width, height = size_px
     x, y = _rays(model)
     reach = max(float(np.abs(x).max()), float(np.abs(y).max()) * width / height)
@@ -155,11 +132,6 @@ def developed(picture: Picture, model: CameraModel, fov_deg: float) -> Picture:
 
     The optical axis meets the middle of the window. A window with more pixels is shrunk before it
     is sampled, each pixel the mean of those it covers.
-
-    Args:
-        picture: of the window, a pinhole image.
-        model: the camera.
-        fov_deg: horizontal field of view of the window [deg].
     """
     import cv2
 
@@ -192,14 +164,8 @@ class ViewFromXPlane:
         fov_deg: horizontal field of view of the window [deg].
     """
 
-    def __init__(self, xplane: XPlane, model: CameraModel, screen: Screen) -> None:
-        """Select the view and move it to where the camera is mounted.
-
-        Args:
-            xplane: running, the aircraft held and paused.
-            model: the camera.
-            screen: where X-Plane's picture is.
-        """
+    def __init__(self, xplane: XPlane, model: CameraModel, screen: Display) -> None:
+        """Select the view and move it to where the camera is mounted, X-Plane paused."""
         self._xplane, self._model, self._screen = xplane, model, screen
         self._last: tuple[AircraftState, Picture] | None = None
         if model.exposure_ev or model.noise_codes:
@@ -272,12 +238,7 @@ class ViewFromXPlane:
         return [Setting(f'{_VIEW}{name}', value, within=0.01) for name, value in values.items()]
 
     def take(self, state: AircraftState, time_s: float) -> NDArray[np.uint8]:
-        """Picture of the aircraft at a state, where X-Plane has it already.
-
-        Args:
-            state: the state.
-            time_s: time of the simulation, which stands still [s].
-        """
+        """Picture of the aircraft at a state, where X-Plane has it; its time [s] stands still."""
         picture = self._taken(state)
         # After the picture: whoever presses a key may do it any time before.
         self._xplane.check_still(time_s)
@@ -329,17 +290,11 @@ class XPlaneCamera:
         self, scenario: Scenario, setup: XPlaneSetup | None = None,
         open_screen: OpenScreen = Display,
     ) -> None:
-        """Prepare X-Plane for a run: pause, hold, place, light and weather, settle, view.
-
-        Args:
-            scenario: of the run.
-            setup: where X-Plane is; None for the environment's.
-            open_screen: connects to the display.
-        """
+        """Prepare X-Plane for a run: pause, hold, place, light and weather, settle, view."""
         setup = setup or chosen_setup()
         self._scenario = scenario
         self._xplane = XPlane(setup)
-        self._screen: Screen | None = None
+        self._screen: Display | None = None
         try:
             self._screen = open_screen(setup.display, setup.region_px)
             start = pose_of(scenario, Aircraft(scenario).state)

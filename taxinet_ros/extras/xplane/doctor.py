@@ -17,7 +17,6 @@ from taxinet_ros.extras.xplane.camera import (
     Display,
     OpenScreen,
     Picture,
-    Screen,
     ViewFromXPlane,
     check_picture,
 )
@@ -49,12 +48,7 @@ class Finding:
 
 
 def findings(setup: XPlaneSetup, open_screen: OpenScreen = Display) -> Iterator[Finding]:
-    """Check one thing after the other; the first that fails ends what builds on it.
-
-    Args:
-        setup: where X-Plane is; it is left running.
-        open_screen: connects to the display.
-    """
+    """Check one thing after the other; the first that fails ends what builds on it."""
     with ExitStack() as opened:
         lines, fine = _lines(setup, open_screen, opened), True
         for name in _CHECKS:
@@ -123,7 +117,7 @@ def _pause(there: XPlane) -> str:
     return f'its time stands still for {_FRAMES} frames'
 
 
-def _pictures(there: XPlane, scenario: Scenario, screen: Screen) -> str:
+def _pictures(there: XPlane, scenario: Scenario, screen: Display) -> str:
     def after(frames: int) -> Picture:
         there.frames(frames)
         return screen.grab()

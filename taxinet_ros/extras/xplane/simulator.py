@@ -148,11 +148,7 @@ class XPlane:
             self._opened = opened.pop_all()
 
     def close(self, *overrides: str) -> None:
-        """Let the aircraft go, resume the simulation, and disconnect.
-
-        Args:
-            overrides: further overrides to be ended.
-        """
+        """Let the aircraft go, end further overrides, resume the simulation, and disconnect."""
         with self._opened, contextlib.suppress(InfraError):  # it is gone, which has been told
             for _ in range(_RELEASES):  # over UDP nothing is confirmed
                 for name in (*overrides, HELD):
@@ -208,15 +204,7 @@ class XPlane:
                       'it cannot be paused' if paused else 'it stays paused')
 
     def run_until(self, flight_time_s: float, since_s: float = -math.inf) -> float:
-        """Let the simulation run to a time of its own, and pause it.
-
-        Args:
-            flight_time_s: the time [s].
-            since_s: time that it has reached already [s].
-
-        Returns:
-            The time at which it stands, some frames later [s].
-        """
+        """Let it run to a time of its own, and pause it; the time at which it stands then [s]."""
         now = self.time_s(since_s)
         self.link.write(SPEED, 1.0)
         while now < flight_time_s:
@@ -248,13 +236,7 @@ class XPlane:
     # Start of a run
 
     def begin(self, scenario: Scenario, start: Pose, *, moves: bool) -> None:
-        """Pause, hold the aircraft, place it, set time and weather, settle, and pause again.
-
-        Args:
-            scenario: with place, time and weather.
-            start: of the aircraft.
-            moves: whether X-Plane will move the aircraft.
-        """
+        """Pause, hold the aircraft, place it, set time and weather, settle, and pause again."""
         self.check_aircraft()
         for name in scenario.dataref_values:
             if trouble := self.link.trouble(name):

@@ -99,13 +99,7 @@ def time_settings(scenario: Scenario, settle_s: float) -> list[Setting]:
 
 
 def weather_settings(scenario: Scenario, version: str, *, moves: bool) -> list[Setting]:
-    """Clouds and rain; wind and friction too where X-Plane moves the aircraft.
-
-    Args:
-        scenario: with the weather.
-        version: of X-Plane.
-        moves: whether it moves the aircraft.
-    """
+    """Clouds and rain; wind and friction too where X-Plane moves the aircraft."""
     settings, wind = (_weather_11 if major(version) < 12 else _weather_12)(scenario)
     return [*settings, *wind] if moves else settings
 

@@ -55,12 +55,8 @@ class WebApi:
     ) -> None:
         """Connect and agree on a version.
 
-        Args:
-            host: name or address of the simulator. X-Plane itself listens on its own machine only;
-                from another one, a proxy or tunnel has to lead there.
-            port: of the API (``--web_server_port`` of X-Plane).
-            timeout_s: wait for each answer [s].
-            tries: how often a request is sent.
+        X-Plane itself listens on its own machine only; from another one, a proxy or tunnel has to
+        lead there. Its option ``--web_server_port`` names the port.
         """
         self.words, self.version = f'web API at {host}:{port}', ''
         self._connection = http.client.HTTPConnection(address_of(host), port, timeout=timeout_s)

@@ -24,7 +24,7 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.extras.xplane.camera import Display, OpenScreen, Screen, ViewFromXPlane
+from taxinet_ros.extras.xplane.camera import Display, OpenScreen, ViewFromXPlane
 from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
 from taxinet_ros.extras.xplane.simulator import (
     HELD,
@@ -66,14 +66,7 @@ class XPlaneWorld(World):
         self, scenario: Scenario, *, pictures: bool = True, setup: XPlaneSetup | None = None,
         open_screen: OpenScreen = Display,
     ) -> None:
-        """Place the aircraft, set light, weather and wind, and release it at its speed.
-
-        Args:
-            scenario: of the run.
-            pictures: False: none will be requested.
-            setup: where X-Plane is; None for the environment's.
-            open_screen: connects to the display.
-        """
+        """Place the aircraft, set light, weather and wind, and release it at its speed."""
         hidden = [
             one.key for one in _HIDDEN
             if getattr(scenario, one.attribute) != getattr(_USUAL, one.attribute)
@@ -88,7 +81,7 @@ class XPlaneWorld(World):
         setup = setup or chosen_setup()
         start = dataclasses.replace(Aircraft(scenario).state, speed_mps=scenario.speed_mps)
         self._xplane = XPlane(setup)
-        self._screen: Screen | None = None
+        self._screen: Display | None = None
         self._view: ViewFromXPlane | None = None
         try:
             if pictures:
