@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.table import Table
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
@@ -39,7 +39,6 @@ from taxinet_ros.extras.forecast.forecast import (
 )
 from taxinet_ros.files.atomic import write_atomically
 
-_PAGE_WIDTH = 100
 NO_GUARANTEE = 'no guarantee'
 _HIGH, _LOW = 3.0, -200.0
 _LINEAR = 2.0
@@ -49,11 +48,7 @@ _TICKS = (-100, -10, -2, -1, 0, 1, 2)
 def calibrate_forecast(
     folder: Path, out: Path, *, spec: str | None, every_s: float, as_json: bool
 ) -> int:
-    """Calibrate on a campaign and write the forecast.
-
-    Returns:
-        Exit code 0.
-    """
+    """Calibrate on a campaign and write the forecast; returns exit code 0."""
     if out.exists():
         raise UsageError(f'--out {out}: already exists; name a new file')
     if not out.parent.is_dir():
@@ -65,26 +60,13 @@ def calibrate_forecast(
             on_run=lambda done, total: bars('runs', done, total),
         )
     write_forecast(out, found)
-    trained, held = len(found.model.outcomes), found.model.calibration_runs
-    told = {
-        'forecast': str(out), 'spec': found.spec, 'training_runs': trained,
+    held = found.model.calibration_runs
+    _print('calibrated', as_json, {
+        'forecast': str(out), 'spec': found.spec, 'training_runs': len(found.model.outcomes),
         'calibration_runs': held, 'moments': found.model.moments,
         'every_s': round(found.every_steps * STEP_S, 9), 'population': dict(found.population),
         'highest_confidence': held / (held + 1),
-    }
-    if as_json:
-        print(json.dumps(told, indent=2))
-        return ExitCode.OK
-    console = _console()
-    console.print(
-        f'{out}: forecast of {found.spec}, {trained} runs trained and {held} calibrated; a bound '
-        f'every {told["every_s"]:g} s, up to {100 * held / (held + 1):.2f} % confidence',
-        soft_wrap=True,
-    )
-    console.print('it holds for new runs with the same', soft_wrap=True)
-    for name, text in found.population.items():
-        console.print(f'  {name:<13}{text}', soft_wrap=True)
-    console.print('  drawn by the program itself (--sampler random)', soft_wrap=True)
+    })
     return ExitCode.OK
 
 
@@ -110,53 +92,16 @@ def check_forecast(
             f'{forecast.last_step * STEP_S:g} s'
         )
     outside = outside_of_campaign(forecast, campaign, runs)
-    found = [coverage(forecast, runs, confidence) for confidence in confidences]
-    failed = sum(row.outcome == 'FAIL' for row in runs.rows)
-    if as_json:
-        print(json.dumps({
-            'forecast': str(path), 'campaign': str(folder), 'runs': len(runs.rows),
-            'failed': failed, 'outside': outside,
-            'coverage': [_coverage_json(one) for one in found],
-        }, indent=2))
-    else:
-        console = _console()
-        console.print(f'{folder}: {len(runs.rows)} runs, {failed} violated', soft_wrap=True)
-        chosen, unjudged = runs.left_out
-        if chosen or unjudged:
-            console.print(
-                f'left out: {chosen} chosen by a sampler, {unjudged} without a verdict',
-                soft_wrap=True,
-            )
-        console.print(_coverage_table(found))
-        console.print(
-            'held: every bound of a run; in brackets the 95 % interval of this share; the '
-            'guarantee is over calibrations too. cleared: median time at which a run that passes '
-            'has a bound above 0; wrongly: violated runs that ever had',
-            style='dim', soft_wrap=True,
-        )
-        _print_outside(console, outside)
+    chosen, unjudged = runs.left_out
+    _print('checked', as_json, {
+        'forecast': str(path), 'campaign': str(folder), 'runs': len(runs.rows),
+        'failed': sum(row.outcome == 'FAIL' for row in runs.rows), 'chosen': chosen,
+        'unjudged': unjudged, 'outside': outside,
+        'coverage': [
+            _coverage_json(coverage(forecast, runs, confidence)) for confidence in confidences
+        ],
+    })
     return ExitCode.INCOMPLETE if outside else ExitCode.OK
-
-
-def _coverage_table(found: Sequence[Coverage]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ('promised', 'held', 'if violated', 'cleared', 'wrongly'):
-        table.add_column(heading, justify='right', no_wrap=True)
-    for one in found:
-        table.add_row(
-            f'{100 * one.confidence:g} %', _rate(one.held), _share(one.held_if_failed),
-            'never' if one.cleared_s is None else f'{one.cleared_s:g} s',
-            _share(one.wrongly_cleared),
-        )
-    return table
-
-
-def _rate(one: Rate) -> str:
-    return f'{100 * one.rate:.1f} % [{100 * one.low:.0f}, {100 * one.high:.0f}]'
-
-
-def _share(one: Rate) -> str:
-    return '' if math.isnan(one.rate) else f'{100 * one.rate:.1f} %'
 
 
 def _coverage_json(one: Coverage) -> dict[str, Any]:
@@ -176,7 +121,11 @@ def show_forecast(
     path: Path, bags: Sequence[Path], *, at_s: float | None, confidence: float,
     run_id: str | None, plot: Path | None, as_json: bool,
 ) -> int:
-    """Print the latest bound of each run, and draw all of them."""
+    """Print the latest bound of each run, and draw all of them.
+
+    Returns:
+        Exit code: 0; 3 if a run is outside the guarantee.
+    """
     forecast = read_forecast(path)
     if at_s is not None and not 0 <= at_s <= forecast.last_step * STEP_S + 1e-9:
         raise UsageError(
@@ -184,8 +133,7 @@ def show_forecast(
         )
     if plot is not None and (plot.suffix != '.png' or not plot.parent.is_dir() or plot.exists()):
         raise UsageError(f'--plot {plot}: expected a new .png file in an existing folder')
-    console = _console()
-    shown, told, inside = [], [], True
+    shown, told = [], []
     for bag in bags:
         with readable_bags():
             recording = _one_run(open_recording(bag), run_id)
@@ -193,7 +141,6 @@ def show_forecast(
             bounds = forecast.bounds_of(recording, confidence=confidence, until_s=at_s)
         if not bounds:
             raise UsageError(f'{bag}: has no control step with a robustness yet')
-        inside = inside and not outside
         told.append(_run_json(recording, bounds, confidence, outside))
         final = _final(forecast, recording)
         shown.append(ShownRun(
@@ -201,17 +148,24 @@ def show_forecast(
                   + (f' ({NO_GUARANTEE})' if outside else ''),
             bounds=bounds, final=final,
         ))
-        if not as_json:
-            _print_run(console, forecast, told[-1], confidence)
-            _print_outside(console, outside)
-    if as_json:
-        print(json.dumps(told, indent=2, allow_nan=False))
     if plot is not None:
         picture = forecast_picture(shown, confidence=confidence, spec=forecast.spec)
         write_atomically(plot, png_bytes(picture, LIGHT))
-        if not as_json:
-            console.print(f'picture: {plot}', soft_wrap=True)
-    return ExitCode.OK if inside else ExitCode.INCOMPLETE
+    _print('shown', as_json, told, spec=forecast.spec, plot=plot)
+    return ExitCode.INCOMPLETE if any(one['outside'] for one in told) else ExitCode.OK
+
+
+def _print(block: str, as_json: bool, told: Any, **more: Any) -> None:
+    """Print values as JSON, or by a block of the template ``show.j2``."""
+    if as_json:
+        print(json.dumps(told, indent=2, allow_nan=False))
+        return
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )
+    macros = environment.get_template('show.j2').module
+    print(getattr(macros, block)(told, **more), end='')
 
 
 def _one_run(recording: Recording, run_id: str | None) -> Recording:
@@ -260,40 +214,6 @@ def _run_json(
             for one in bounds
         ],
     }
-
-
-def _print_run(
-    console: Console, forecast: Forecast, told: dict[str, Any], confidence: float,
-) -> None:
-    lower, upper = told['lower'], told['certain_upper']
-    if upper is not None and told['certain_lower'] == upper:
-        console.print(
-            f'{told["run_id"]}: at {told["t_s"]:g} s, {forecast.spec} is {upper:+.3f} for certain',
-            soft_wrap=True,
-        )
-        return
-    least = 'no lower bound' if lower is None else f'at least {lower:+.3f}'
-    most = '' if upper is None else f', at most {upper:+.3f} for certain'
-    sure = (
-        NO_GUARANTEE if told['outside']
-        else f'{100 * confidence:g} %, at all moments of the run'
-    )
-    console.print(
-        f'{told["run_id"]}: at {told["t_s"]:g} s, {forecast.spec} will be {least} ({sure}){most}',
-        soft_wrap=True,
-    )
-
-
-def _print_outside(console: Console, outside: Sequence[str]) -> None:
-    for why in outside:
-        console.print(f'{NO_GUARANTEE}: {why}', soft_wrap=True)
-
-
-def _console() -> Console:
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console.width = _PAGE_WIDTH
-    return console
 
 
 # Picture ----------------------------------------------------------------------------------------
