@@ -25,6 +25,7 @@ from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.campaign.options import check_new, make_out
 from taxinet_ros.campaign.record.facts import EXTENSIONS, WORLD, recorded_stacks
+from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.core.mtl.specs import SIGNALS, parse_spec
 from taxinet_ros.core.pacing.timing import is_free
@@ -35,8 +36,9 @@ from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.evidence import figures
-from taxinet_ros.extras.evidence.argument import about, argument_of, mermaid
+from taxinet_ros.extras.evidence.argument import mermaid, parse_argument
 from taxinet_ros.extras.evidence.inputs import (
+    RECORD,
     CampaignInput,
     Requirement,
     ResultsInput,
@@ -173,7 +175,9 @@ def collect(
     _refuse_repeated(content)
     content['limits'] = known_limits(content)
     content['items'] = {item.pop('id'): item for item in _items(content)}
-    content['argument'] = argument_of(content)
+    content['argument'] = parse_argument(
+        _rendered('argument.j2', content | {'record': RECORD}, finalize=_plain)
+    )
     content['computed_by'] = {
         name: value for name, value in provenance().items() if name in ('taxinet_ros', COMMIT)
     }
@@ -426,7 +430,8 @@ def _rendered(template: str, content: Mapping[str, Any], **options: Any) -> str:
     )
     environment.globals['interval'] = figures.interval_words
     environment.filters |= {
-        'about': about, 'stem': lambda path: Path(path).stem,
+        'about': _about, 'stem': lambda path: Path(path).stem, 'scenes': scenes_words,
+        'source': lambda one: f'{one["kind"]} {one["name"]}',
         'labels': lambda keys: ', '.join(BY_KEY[key].label for key in keys),
         'sentence': lambda text: f'{str(text).rstrip(".")}.',
         'percent': lambda share, digits=2: (
@@ -434,6 +439,13 @@ def _rendered(template: str, content: Mapping[str, Any], **options: Any) -> str:
         ),
     }
     return environment.get_template(template).render(content)
+
+
+def _about(
+    results: Sequence[Mapping[str, Any]], system: Mapping[str, Any]
+) -> list[Mapping[str, Any]]:
+    """Those of the results that are about a campaign of a system."""
+    return [one for one in results if set(one['campaigns']) & set(system['campaigns'])]
 
 
 def _plain(value: Any) -> str:

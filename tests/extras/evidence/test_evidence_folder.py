@@ -20,9 +20,8 @@ from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.cli.analysis.localize import run_localize
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.evidence import verify as verifying
-from taxinet_ros.extras.evidence.argument import goal, goals, mermaid, numbered, reference, whole
+from taxinet_ros.extras.evidence.argument import goals, mermaid, parse_argument
 from taxinet_ros.extras.evidence.evidence import manifest_text
-from taxinet_ros.extras.evidence.figures import Verdict
 from taxinet_ros.extras.evidence.verify import VerifyOptions, value_differences, verify
 
 TAXINET = Path(sys.executable).with_name('taxinet')
@@ -302,14 +301,28 @@ def test_given_the_argument_then_its_solutions_have_hashes_and_open_goals_none(p
 
 
 def test_given_an_argument_then_mermaid_draws_each_element_once_and_joins_it():
-    values = numbered(whole(
-        'top', [goal(side, Verdict.UNDETERMINED, 'no runs') for side in ('left', 'right')],
-        [reference('beside')], strategy='argue over both',
-    ))
-    assert values['why'] == 'of its parts: 2 undetermined'
+    values = parse_argument(
+        'goal: top\n  context: beside\n  strategy: argue over both\n'
+        '  undetermined: left\n    why: no runs\n  undetermined: right\n    why: no runs\n'
+    )
+    assert [one['why'] for one in goals(values)] == [
+        'of its parts: 2 undetermined', 'no runs', 'no runs',
+    ]
     assert mermaid(values).splitlines() == [
         'flowchart TD', '  G1["G1: top<br/>undetermined"]', '  C1("C1: beside")', '  G1 -.-> C1',
         '  S1[/"S1: argue over both"/]', '  G1 --> S1',
         '  S1 --> G2', '  G2["G2: left<br/>undeveloped #9671;"]',
         '  S1 --> G3', '  G3["G3: right<br/>undeveloped #9671;"]',
     ]
+
+
+@pytest.mark.parametrize(('parts', 'verdict'), [
+    (('supported', 'refuted', 'undetermined'), 'refuted'), (('supported',) * 2, 'supported'),
+    (('supported', 'undetermined'), 'undetermined'),
+])
+def test_given_parts_then_one_refutes_the_whole_and_all_support_it(parts, verdict):
+    lines = [f'    {part}: part\n      solution: runs -> item' for part in parts]
+    values = parse_argument('\n'.join(['goal: top', '  goal: middle', *lines]))
+    assert values['verdict'] == values['parts'][0]['verdict'] == verdict
+    assert values['parts'][0]['parts'][0]['solutions'] == [
+        {'id': 'Sn1', 'text': 'runs', 'item': 'item'}]
