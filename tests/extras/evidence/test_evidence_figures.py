@@ -403,7 +403,7 @@ def test_given_a_campaign_of_run_then_the_hash_of_its_network_is_that_of_its_run
 
 
 def test_people9_given_a_requirement_without_an_identifier_then_no_campaign_is_read_before(
-    tmp_path,
+    tmp_path
 ):
     with pytest.raises(UsageError, match='requirement stay on the line: expected an identifier'):
         tx.evidence(tmp_path / 'absent', tmp_path / 'out', requirement='stay on the line')

@@ -150,7 +150,7 @@ def options() -> TuneOptions:
 
 @pytest.mark.nightly
 def test_given_gains_too_small_then_better_ones_are_found_and_an_interrupt_changes_nothing(
-    options, tmp_path,
+    options, tmp_path
 ):
     with Tuning(options, tmp_path / 'whole') as tuning:
         whole = tuning.run()
@@ -190,9 +190,7 @@ def test_given_other_settings_or_scenes_of_the_search_then_they_are_refused(opti
         Tuning(options, tmp_path / 'full')
 
 
-def test_given_the_command_then_it_prints_and_writes_what_was_found(
-    monkeypatch, capsys, tmp_path: Path,
-):
+def test_given_the_command_then_it_prints_and_writes_what_was_found(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     words = [
         'tune', 's_falsif', '--perception', 'truth', '--candidates', '3', '--scenes', '2',
