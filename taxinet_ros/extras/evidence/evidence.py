@@ -224,9 +224,9 @@ def _system(
     first, facts = inputs[0], inputs[0].facts
     spec = _spec(options.spec, first)
     network = read_network(facts, options.networks)
-    verdict = None if claim is None else figures.claim_verdict(
-        figures.formula_rates(inputs, spec), claim
-    )
+    counts = figures.counts_json(inputs, list(facts['specs']))
+    formula = next(one for one in counts['formulas'] if one['formula'] == spec)
+    verdict = None if claim is None else figures.claim_verdict(formula, claim)
     simulator, camera = world_and_camera(first.system['world'])
     timing = str(facts.get('timing', ''))
     stacks = [stack for one in inputs for stack in recorded_stacks(one.facts).values()]
@@ -257,7 +257,7 @@ def _system(
         },
         'timing': timing, 'free': is_free(timing), 'extensions': facts.get(EXTENSIONS, {}),
         'stacks_differ': differences(*stacks), 'campaigns': list(own),
-        'figures': figures.counts_json(inputs, list(facts['specs'])),
+        'figures': counts,
         'odd': None if domain is None else coverage_json(odd_coverage(
             domain, [replace(read_runs(one.folder, spec), label=one.name) for one in inputs],
             limit=None if claim is None else 1 - claim,
