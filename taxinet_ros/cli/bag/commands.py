@@ -17,6 +17,7 @@ from taxinet_ros.cli.options import OwnControllerOption, RunOption, refuse_given
 BagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
 ]
+JsonOption = Annotated[bool, typer.Option('--json', help='print one JSON object')]
 
 
 def render(
@@ -110,8 +111,9 @@ def compare(
     from taxinet_ros.cli.bag.compare import run_compare
     from taxinet_ros.cli.bag.input import one_run, readable_bags
 
-    with readable_bags(), one_run(bag, run_id) as one, one_run(other, other_run) as two:
-        code = run_compare(one.path, two.path, tolerance=tolerance, skip=skip or ())
+    with readable_bags():
+        bags = one_run(bag, run_id), one_run(other, other_run)
+        code = run_compare(*bags, tolerance=tolerance, skip=skip or ())
     raise typer.Exit(code)
 
 
@@ -139,14 +141,10 @@ bag_app = command_group(
     'whole, 2 bad input, or nothing in the bag can be read, 3 something in it is lost or wrong, 4 '
     'no disk space for the output.',
 )
-RecordedBagArgument = Annotated[
-    Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
-]
-JsonOption = Annotated[bool, typer.Option('--json', help='print one JSON object')]
 
 
 @bag_app.command()
-def info(bag: RecordedBagArgument, as_json: JsonOption = False) -> None:
+def info(bag: BagArgument, as_json: JsonOption = False) -> None:
     """Show the contents of a bag: run, scene, outcome, robustness, topics."""
     from taxinet_ros.cli.bag.info import show_info
 
@@ -156,7 +154,7 @@ def info(bag: RecordedBagArgument, as_json: JsonOption = False) -> None:
 @bag_app.command()
 def doctor(
     context: typer.Context,
-    bag: RecordedBagArgument,
+    bag: BagArgument,
     as_json: JsonOption = False,
     images: Annotated[
         bool,
@@ -178,7 +176,7 @@ def doctor(
 
 @bag_app.command()
 def recover(
-    bag: RecordedBagArgument,
+    bag: BagArgument,
     out: Annotated[
         Path, typer.Option(metavar='NEW', help='folder for the new bag; must not exist')
     ],
@@ -194,7 +192,7 @@ def recover(
 
 @bag_app.command()
 def export(
-    bag: RecordedBagArgument,
+    bag: BagArgument,
     out: Annotated[
         Path,
         typer.Option(
@@ -228,7 +226,7 @@ def export(
 
 @bag_app.command()
 def split(
-    bag: RecordedBagArgument,
+    bag: BagArgument,
     out: Annotated[
         Path, typer.Option(metavar='DIR', help='folder for the new bags; must be new or empty')
     ],

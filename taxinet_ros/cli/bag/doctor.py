@@ -43,8 +43,7 @@ def run_bag_doctor(
 def _check_bag(bag: Path, as_json: bool, images: bool, run: str | None) -> int:
     checks = check_bag(bag).checks
     if images:
-        with one_run(bag, run) as whole:
-            checks += (check_recorded_frames(whole),)
+        checks += (check_recorded_frames(one_run(bag, run)),)
     print_checks(bag, checks, as_json=as_json)
     return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
 
@@ -68,18 +67,18 @@ def print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None
             console.print(
                 f'        {finding.where}: {finding.what}', soft_wrap=True, markup=False
             )
-    console.print(_conclusion(findings, bag), soft_wrap=True, markup=False)
+    mends = [_mend(finding, bag) for finding in findings]
+    console.print(_conclusion(mends) or 'nothing is wrong', soft_wrap=True, markup=False)
 
 
-def _conclusion(findings: Sequence[Finding], bag: Path) -> str:
-    if not findings:
-        return 'nothing is wrong'
-    mends = Counter(_mend(finding, bag) for finding in findings)
-    lost = mends.pop('', 0)
-    parts = [f'{number} mended by: {command}' for command, number in mends.items()]
+def _conclusion(mends: Sequence[str]) -> str:
+    """The commands for some findings, or '' for none."""
+    counts = Counter(mends)
+    lost = counts.pop('', 0)
+    parts = [f'{number} mended by: {command}' for command, number in counts.items()]
     if lost:
-        parts.append(f'{lost} only by rerunning the scene')
-    return f'{len(findings)} found, {"; ".join(parts)}'
+        parts.append(f'{lost} only by making it again')
+    return f'{len(mends)} found; {"; ".join(parts)}' if mends else ''
 
 
 def _check_line(check: Check) -> Text:
@@ -126,11 +125,7 @@ def _show_bag_name(bag: Path) -> None:
 
 def _results_words(found: Examination, folder: Path) -> str:
     looked_at = ', '.join(f'{count:,} {what}' for what, count in found.looked_at.items())
-    mends = Counter(one.mend for one in found.findings)
-    lost = mends.pop('', 0)
-    parts = [f'{number} mended by: {command}' for command, number in mends.items()]
-    parts += [f'{lost} only by making it again'] if lost else []
-    summary = f'{len(found.findings)} found; {"; ".join(parts)}' if found.findings else 'sound'
+    summary = _conclusion([one.mend for one in found.findings]) or 'sound'
     return '\n'.join([
         *(f'BAD     {one.where}: {one.what}' for one in found.findings),
         *(f'note    {line}' for line in found.notes),

@@ -47,11 +47,7 @@ def run_export(
             )
         return exit_code_of(bag, lambda: _export(open_recording(bag), out, kind, topics))
 
-    def export() -> int:
-        with one_run(bag, run) as whole:
-            return _export(whole, out, kind, topics)
-
-    return exit_code_of(bag, export)
+    return exit_code_of(bag, lambda: _export(one_run(bag, run), out, kind, topics))
 
 
 def _export(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
@@ -99,7 +95,8 @@ def _one_table(recording: Recording, out: Path, kind: str, topics: Sequence[str]
 
 def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
     wanted = list(topics) or [
-        topic.name for topic in recording.topics if topic.type not in _PICTURES
+        topic.name for topic in recording.topics
+        if topic.type not in _PICTURES and topic.encoding == 'cdr'
     ]
     tables = recording.tables(wanted)
     try:

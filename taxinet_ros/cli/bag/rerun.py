@@ -18,7 +18,6 @@ from taxinet_ros.bag.check.compare import (
     write_stack,
 )
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
-from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
@@ -132,9 +131,9 @@ def run_again(
     if not result.outcome.judged:
         raise InfraError(result.kind, result.who, result.last_seq, result.detail)
     with readable_bags():
-        counts = read_info(new).counts
-        skip = () if info.counts.get(IMAGE) and counts.get(IMAGE) else (IMAGE,)
-        topics = compare_bags(recording.path, new, skip=skip)
+        made = open_recording(new)
+        skip = () if info.counts.get(IMAGE) and made.info.counts.get(IMAGE) else (IMAGE,)
+        topics = compare_bags(recording, made, skip=skip)
     print_comparison(console, topics, 0.0)
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
 
