@@ -65,7 +65,7 @@ def test_given_a_bag_when_its_contents_are_read_then_they_are_what_was_given(bag
     assert (info.start_ns, info.end_ns) == (0, (STEPS_WRITTEN - 1) * STEP_NS)
     assert info.duration_s == pytest.approx(0.3)
     assert info.metadata['taxinet'] == METADATA
-    assert info.attachments == ('manifest.json', *ATTACHMENTS)
+    assert info.attachments == ['manifest.json', *ATTACHMENTS]
     assert read_attachment(bag, 'scenario.scenic') == ATTACHMENTS['scenario.scenic']
     assert json.loads(read_attachment(bag, 'manifest.json'))['metadata'] == METADATA
     with pytest.raises(UsageError, match=r"no attachment 'x'; it has manifest\.json, scenario"):
@@ -202,7 +202,7 @@ def test_given_an_exception_when_recording_then_messages_stay_but_nothing_is_dec
     assert not (tmp_path / 'r' / 'metadata.yaml').exists()
     info = read_info(tmp_path / 'r')
     assert not info.complete
-    assert 'recording was not finished' in info.trouble
+    assert 'no metadata.yaml' in info.trouble
     assert info.counts['/scenario'] == 1
     bag.abandon()
     with pytest.raises(BagError, match='closed'):

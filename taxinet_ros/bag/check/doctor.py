@@ -80,10 +80,10 @@ def _topic_troubles(topic: TopicInfo, others: list[str]) -> Iterator[Finding]:
         if topic.qos:
             qos_profiles(topic.qos)
     except BagError as error:
-        if is_run_topic(topic.name):
+        if topic.encoding == 'cdr' and is_run_topic(topic.name):
             yield Finding(where=topic.name, what=str(error), mend=RERUN)
         else:
-            others.append(f'{topic.name} ({topic.encoding} {topic.type})')
+            others.append(f'{topic.name} ({topic.type or topic.encoding})')
     except ValueError as error:
         yield Finding(where=topic.name, what=f'QoS: {error}', mend=RECOVER)
 

@@ -322,7 +322,7 @@ def _verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, lis
                 where=f'step {wrong}', what=f'{spec.name}: the recorded interval differs'))
     if steps <= record.last_seq():
         found.append(Finding(where=f'step {steps}', what='no samples from here on'))
-    elif steps:
+    elif steps and record.ending is not None:
         found += _verdict_troubles(record, specs, judge.judgement)
     return steps, found
 

@@ -138,8 +138,8 @@ def tell_runs_apart(info: BagInfo, decode: Callable[[StoredMessage], Any]) -> Ru
             index.broken.add(len(index.owners) - 1)
     # Transforms are ignored: those of a run are derived from odometry.
     others = any(
-        count and not topic_parts(name)[0] and not is_of_frames(name)
-        for name, count in info.counts.items()
+        info.counts[topic.name] and not is_of_frames(topic.name)
+        and (topic.encoding != 'cdr' or not topic_parts(topic.name)[0]) for topic in info.topics
     )
     return index.found(tuple(broken), others=others)
 

@@ -170,8 +170,8 @@ def write(folder: Path, commit: str, **changes: str) -> Path:
 def test_provenance_of_a_bag_is_read_back_with_its_commit(tmp_path):
     bag = write(tmp_path / 'run', 'c0ffee')
     assert made_on(read_info(bag)) == {**without_commit(provenance()), COMMIT: 'c0ffee'}
-    description = next(c for c in check_bag(bag).checks if c.name == 'description')
-    assert not description.findings
+    structure = next(c for c in check_bag(bag).checks if c.name == 'structure')
+    assert not structure.findings
 
 
 def test_provenance_two_checkouts_of_equal_code_write_equal_storage_files(tmp_path):

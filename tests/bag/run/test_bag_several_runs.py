@@ -313,7 +313,7 @@ def test_ros1_attack_given_another_recorder_without_checksums_then_every_command
         ('bag', 'recover', bag, '--out', tmp_path / 'saved'),
     ):
         code, out, _ = call(capsys, *words)
-        assert (code, 'chunks carry no checksum' in out) == (0, True), words
+        assert (code, 'messages have no checksum' in out) == (0, True), words
 
 
 def test_ros1_attack_given_absurd_stamps_then_info_names_them(tmp_path, capsys):

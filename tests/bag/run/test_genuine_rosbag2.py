@@ -99,8 +99,8 @@ def test_ros6_given_the_simulators_clock_then_the_first_run_lacks_its_beginning_
     assert 'sim_time far-00000  near  VIOLATED    rho    -2.000' in out
     code, out, _ = call(capsys, 'bag', 'doctor', bag)
     assert code == 3
-    assert f'ok   steps       far-00000: {STEPS} control steps, every topic in each' in out
-    assert f'BAD  steps       near-00000: {STEPS} control steps, every topic in each' in out
+    assert f'ok   lockstep    far-00000: {STEPS} control steps, every topic in each' in out
+    assert f'BAD  lockstep    near-00000: {STEPS} control steps, every topic in each' in out
 
 
 def test_ros6_given_a_recorder_that_was_too_slow_then_no_verdict_and_the_steps_by_number(capsys):
