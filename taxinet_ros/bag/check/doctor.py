@@ -56,14 +56,14 @@ def _without_place(error: BagError) -> str:
 def _check_structure(recording: Recording) -> Check:
     """Check ``metadata.yaml``, the definitions of all topics, and that messages match them."""
     info, others = recording.info, list[str]()
-    folder = info.path.is_dir()
-    found = [*_description_troubles(info)] if folder and not info.damage else []
+    described = info.path.is_dir() and not info.damage
+    found = [*_description_troubles(info)] if described else []
     for topic in info.topics:
         found += _topic_troubles(topic, others)
     if not recording.plain:  # A message that cannot be decoded belongs to no run.
         found += [Finding(where=info.path.name, what=str(error), mend=RERUN)
                   for error in recording.damage[len(info.damage):]]
-    what = f'{METADATA_FILE}, definitions' if folder else 'definitions'
+    what = f'{METADATA_FILE}, definitions' if described else 'definitions'
     return Check(
         name='structure', looked_at=f'{what} and type hashes of {len(info.topics)} topics'
         + (f'; not checked: {", ".join(others)}' if others else ''), findings=tuple(found),

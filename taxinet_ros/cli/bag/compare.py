@@ -20,14 +20,7 @@ EQUAL, DIFFERENT = 0, 1
 def run_compare(
     one: Recording, other: Recording, *, tolerance: float, skip: Collection[str]
 ) -> int:
-    """Compare two recordings and print the differences.
-
-    Returns:
-        Exit code: 0 the same within the tolerance, 1 different.
-
-    Raises:
-        UsageError: a bag cannot be read, or an option makes no sense.
-    """
+    """Compare two recordings and print the differences; exit code 1 if there are any."""
     if not 0 <= tolerance < float('inf'):
         raise UsageError(f'--tolerance {tolerance:g}: needs to be 0 or more')
     console = Console(highlight=False)
@@ -78,11 +71,7 @@ def _words(topic: TopicComparison) -> str:
 
 
 def _topics(names: Collection[str], *bags: Recording) -> list[str]:
-    """Topic names as recorded in bags.
-
-    Raises:
-        UsageError: no bag has such a topic.
-    """
+    """Topic names as recorded in bags, each in one of them."""
     known = {name for bag in bags for name in bag.info.counts}
     for name in names:
         if '/' + name.lstrip('/') not in known:

@@ -23,32 +23,18 @@ from taxinet_ros.errors import ExitCode
 def run_bag_doctor(
     bag: Path, *, as_json: bool, images: bool = False, run: str | None = None
 ) -> int:
-    """Check a bag and print the findings.
+    """Check a bag and print the findings; exit code 0 nothing is wrong, 2 not readable, 3 wrong."""
+    def check() -> int:
+        checks = check_bag(bag).checks
+        if images:
+            checks += (check_recorded_frames(one_run(bag, run)),)
+        _print_checks(bag, checks, as_json=as_json)
+        return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
 
-    Args:
-        bag: a run folder or an ``.mcap`` file.
-        as_json: print one JSON object.
-        images: re-render every frame and compare.
-        run: which run, if the bag holds several.
-
-    Returns:
-        Exit code: 0 nothing is wrong, 2 not readable, 3 something is wrong.
-
-    Raises:
-        UsageError: there is nothing at ``bag``.
-    """
-    return exit_code_of(bag, lambda: _check_bag(bag, as_json, images, run))
+    return exit_code_of(bag, check)
 
 
-def _check_bag(bag: Path, as_json: bool, images: bool, run: str | None) -> int:
-    checks = check_bag(bag).checks
-    if images:
-        checks += (check_recorded_frames(one_run(bag, run)),)
-    print_checks(bag, checks, as_json=as_json)
-    return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
-
-
-def print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
+def _print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
     """Print one line per check, its findings and the repair command."""
     findings = [finding for check in checks for finding in check.findings]
     if as_json:
@@ -103,14 +89,7 @@ def _mend(finding: Finding, bag: Path) -> str:
 
 
 def run_results_doctor(folder: Path, *, as_json: bool) -> int:
-    """Check a folder and print one line per finding.
-
-    Returns:
-        Exit code: 0 no findings, 3 something is incomplete or damaged.
-
-    Raises:
-        UsageError: there is nothing to check.
-    """
+    """Check a folder and print one line per finding; exit code 3 if there is one."""
     found = examine(folder, _show_bag_name)
     if sys.stderr.isatty():
         print('\r\033[K', end='', file=sys.stderr)

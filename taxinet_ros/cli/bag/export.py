@@ -22,21 +22,7 @@ _PICTURES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 def run_export(
     bag: Path, out: Path, *, topics: Sequence[str], file_format: str | None, run: str | None = None
 ) -> int:
-    """Write the requested files and print their paths.
-
-    Args:
-        bag: a bag's folder or an ``.mcap`` file.
-        out: file or folder.
-        topics: topics to export; empty: the run's trace or all topics.
-        file_format: format, if not given by the suffix of ``out``.
-        run: which run, if the bag holds several.
-
-    Returns:
-        Exit code: 0, 2 not readable, 3 the bag is damaged, 4 no disk space.
-
-    Raises:
-        UsageError: bad input, or a topic that is not in the bag.
-    """
+    """Write the requested files and print their paths; without topics, the trace or all topics."""
     kind = _format(out, file_format, topics)
     _check_new(out)
     if topics and not any(map(is_run_topic, topics)):  # Foreign topics: as recorded.

@@ -33,9 +33,6 @@ def run_recover(bag: Path, out: Path) -> int:
     Returns:
         Exit code: 0 everything was saved, 3 something is lost, 2 nothing could be saved, 4 no disk
             space.
-
-    Raises:
-        UsageError: there is nothing at ``bag``, or something at ``out``.
     """
     if bag.is_dir() and out.resolve().is_relative_to(bag.resolve()):
         raise UsageError(f'--out {out}: is inside the bag {bag}, which is not modified')
@@ -90,15 +87,7 @@ def _lost(recovery: Recovery) -> str:
 
 
 def run_split(bag: Path, out: Path) -> int:
-    """Write one bag per run and print the result of each.
-
-    Returns:
-        Exit code: 0 all are written, 2 nothing can be read, 3 damaged parts of the recording are
-            missing, 4 no disk space.
-
-    Raises:
-        UsageError: ``out`` is in use, or the recording does not identify its runs.
-    """
+    """Write one bag per run and print each; exit code 3 if the recording is damaged."""
     check_new(out)
     return exit_code_of(bag, lambda: _split(bag, out))
 
@@ -125,15 +114,7 @@ _MIN_FREE_BYTES = 1_000_000_000
 
 
 def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
-    """Render missing frames, in place or into a new bag, and print the result.
-
-    Returns:
-        Exit code: 0 every frame is there, 2 the bag cannot be read or its frames cannot be
-            rendered, 4 no disk space.
-
-    Raises:
-        UsageError: there is nothing at ``bag``, it is damaged, or ``out`` exists.
-    """
+    """Render missing frames, in place or into a new bag, and print the result."""
     def work() -> int:
         recording = one_run(bag, run)
         if not recording.name:

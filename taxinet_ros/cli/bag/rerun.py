@@ -49,14 +49,7 @@ _TAKEN_BESIDE_FROM = frozenset({
 
 
 def check_options(given: Iterable[str]) -> None:
-    """Refuse options that contradict the recorded run.
-
-    Args:
-        given: parameters of ``taxinet run`` given on the command line.
-
-    Raises:
-        UsageError: one of them is not allowed with ``--from``.
-    """
+    """Refuse given parameters of ``taxinet run`` that contradict the recorded run."""
     names = {'settings': '--set', 'scenario': 'SCENARIO', 'free': 'whether --free'}
     for name in given:
         if name in ('engine', 'audit'):
@@ -84,10 +77,6 @@ def run_again(
 
     Returns:
         Exit code: 0 bit-identical, 1 different.
-
-    Raises:
-        UsageError: bad input.
-        InfraError: infrastructure error.
     """
     with readable_bags():
         run, info = recording.run, recording.info
@@ -143,10 +132,6 @@ def run_golden(folder: Path, *, update: bool) -> int:
 
     Returns:
         Exit code: 0 the same, or replaced; 1 different.
-
-    Raises:
-        UsageError: there are no golden bags, or one cannot be read.
-        InfraError: infrastructure error; nothing is replaced.
     """
     console = Console(highlight=False)
     bags = golden_bags(folder)
