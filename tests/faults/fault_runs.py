@@ -69,3 +69,8 @@ def steps_in(folder: Path) -> list[int]:
                 stamps.append(stamp)
     assert all(stamp % PERIOD_NS == 0 for stamp in stamps)
     return [stamp // PERIOD_NS for stamp in stamps]
+
+
+def files(bag: Path) -> dict[str, bytes]:
+    """Bytes of a bag's files."""
+    return {file.name: file.read_bytes() for file in bag.iterdir()}

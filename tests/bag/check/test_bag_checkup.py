@@ -208,6 +208,8 @@ def test_given_a_description_that_lies_when_checked_then_it_is_told(
     assert old in text
     (folder / 'metadata.yaml').write_text(text.replace(old, new, 1))
     checkup = check_bag(folder)
+    whole = not {'message_count is 134', 'not a bag description'} & {reason.split(',')[0]}
+    assert checkup.info.complete is whole
     assert set(wrong(checkup)) == {'structure'}
     assert any(reason in found.what for found in checkup.findings)
     assert {found.mend for found in checkup.findings} == {RECOVER}

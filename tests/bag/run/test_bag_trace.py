@@ -159,23 +159,6 @@ def test_given_a_message_that_cannot_be_decoded_when_read_then_the_error_names_i
     assert len(recording.damage) == 1
 
 
-@pytest.mark.parametrize(('type_name', 'definition'), [
-    ('evil/msg/X', ''),
-    ('evil/msg/X', 'this is { not a definition'),
-    ('evil/msg/X', 'Unknown inner'),
-    ('evil/msg/X', 'uint8 x\n' + '#' * 2**20),
-    ('evil/msg/X\nimport os', 'uint8 x'),
-    ('evil/msg/X', 'uint8 __init__\nuint8 x"]'),
-    ('builtin_interfaces/msg/Time', 'float64 sec'),
-])
-def test_given_a_hostile_definition_when_decoded_then_refused(
-    type_name: str, definition: str
-) -> None:
-    topic = TopicInfo(name='/t', type=type_name, qos='', definition=definition, type_hash='')
-    with pytest.raises(BagForeign):
-        decode(topic, b'\0\1\0\0' + bytes(8))
-
-
 def test_given_a_package_that_a_bag_names_when_decoded_then_it_is_not_imported() -> None:
     topic = TopicInfo(
         name='/t', type='antigravity/msg/This', qos='', type_hash='',

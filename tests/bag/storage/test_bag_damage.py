@@ -90,34 +90,6 @@ def test_given_a_flipped_bit_anywhere_when_judged_then_no_verdict_changes_in_sil
     assert 10 < summary < 240
 
 
-def test_given_garbage_inserted_when_read_then_only_typed_errors_come(
-    whole: bytes, damaged: Callable[[bytes], Path]
-) -> None:
-    rng = np.random.default_rng(12)
-    for _ in range(150):
-        data = bytearray(whole)
-        start, length = int(rng.integers(len(data))), int(rng.integers(1, 60))
-        data[start:start + int(rng.integers(60))] = rng.bytes(length)
-        _, error = read_all(damaged(bytes(data)))
-        assert isinstance(error, BagError)
-
-
-@pytest.mark.parametrize(('text', 'reason'), [
-    ('', 'not a bag description'),
-    ('[', 'not a bag description'),
-    ('rosbag2_bagfile_information: {message_count: 5}', 'declares 5 messages, the bag holds 19'),
-])
-def test_given_a_description_that_is_wrong_when_read_then_the_bag_is_not_complete(
-    tmp_path: Path, text: str, reason: str
-) -> None:
-    folder = write_bag(tmp_path / 'run', samples(STEPS)).parent
-    (folder / 'metadata.yaml').write_text(text)
-    info = read_info(folder)
-    assert not info.complete
-    assert reason in info.trouble
-    assert len(list(read_messages(folder))) == 19
-
-
 def test_given_a_split_bag_when_read_then_files_come_in_the_order_of_their_numbers(
     tmp_path: Path,
 ) -> None:
