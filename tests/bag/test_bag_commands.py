@@ -122,7 +122,7 @@ def test_given_damaged_bags_when_recovered_then_the_new_ones_are_whole(
     assert 'damage: flipped/flipped_0.mcap: at byte' in out
     (intact,) = map(int, re.findall(r'; (\d+) intact messages before\n', out))
     steps = (intact - 6) // PER_STEP
-    assert steps > 2
+    assert steps > 1
     assert f'saved {intact} messages, {steps} whole control steps of 16 planned, into' in out
     assert f'lost {168 - intact} of 168 messages' in out
     assert 'mcap recover flipped/flipped_0.mcap -o NEW.mcap' in out

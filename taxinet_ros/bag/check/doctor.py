@@ -1,7 +1,7 @@
 """All checks of a bag from any recorder.
 
 Its bytes, its structure (``metadata.yaml`` and types), the lockstep and the verdict of each run in
-it; and optionally the camera frames against re-rendered ones.
+it. ``taxinet run --from`` compares frames, too.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from taxinet_ros.bag.cdr.decode import definition_hash
 from taxinet_ros.bag.check.findings import RECOVER, RERUN, Check, Finding
 from taxinet_ros.bag.check.lockstep import check_run, checked_runs
@@ -22,13 +20,9 @@ from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
 from taxinet_ros.bag.run.runs import is_run_topic
-from taxinet_ros.bag.run.topics import IMAGE
-from taxinet_ros.bag.run.trace import Frame
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.bag.writer import RUN_METADATA
-from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_yaml
 
 
@@ -139,52 +133,6 @@ def _comparable(key: str, value: Any, inner: Mapping[str, Any]) -> Any:
 def _short(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f'{text[:57]}...'
-
-
-def check_recorded_frames(recording: Recording) -> Check:
-    """Render the recorded frames of a bag again and compare every byte."""
-    try:
-        again = recorded_world(recording.path, recording.run).again_words
-        if again:
-            return Check(name='frames', looked_at=f'not compared: {again}', skipped=True)
-        return _compared_frames(recording)
-    except (BagError, UsageError) as error:
-        return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)
-
-
-def _compared_frames(recording: Recording) -> Check:
-    recorded = equal = 0
-    lost, findings = '', list[Finding]()
-    states = recording.observations()
-    for frame in recording.frames(render=False):
-        recorded += 1
-        try:
-            here = () if lost else (one.image for one in states if one.seq == frame.seq)
-            now = next(iter(here), None)
-        except WorldDiffers as error:
-            lost, now = str(error), None
-        if now is None:
-            lost = lost or f'step {frame.seq} has a frame but no recorded state'
-        elif now.shape == frame.image.shape and now.tobytes() == frame.image.tobytes():
-            equal += 1
-        elif not findings:
-            what = f'the first different frame: {_difference(frame.image, now)}'
-            findings.append(Finding(where=f'step {frame.seq}', what=what, mend=RERUN))
-    if not recorded:
-        return Check(name='frames', looked_at='no frames to compare', skipped=True)
-    if lost:
-        findings.append(Finding(where=f'/{IMAGE}', what=lost, mend=RERUN))
-    return Check(
-        name='frames', findings=tuple(findings), looked_at=f'{equal} of {recorded} equal '
-        f're-rendered ones{"" if findings else ", bit for bit"}',
-    )
-
-
-def _difference(recorded: Frame, rendered: Frame) -> str:
-    if recorded.shape != rendered.shape:
-        return f'its shape is {recorded.shape}, re-rendered {rendered.shape}'
-    away = np.abs(recorded.astype(np.int16) - rendered.astype(np.int16)).max(axis=2)
-    return f'{np.count_nonzero(away)} pixels differ, by up to {away.max()} of 255'
 
 
 @dataclass(frozen=True, kw_only=True)

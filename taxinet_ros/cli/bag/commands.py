@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import OwnControllerOption, RunOption, refuse_given
+from taxinet_ros.cli.options import OwnControllerOption, RunOption
 
 BagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
@@ -152,16 +152,7 @@ def info(bag: BagArgument, as_json: JsonOption = False) -> None:
 
 
 @bag_app.command()
-def doctor(
-    context: typer.Context,
-    bag: BagArgument,
-    as_json: JsonOption = False,
-    images: Annotated[
-        bool,
-        typer.Option('--images', help='also re-render every camera frame and compare'),
-    ] = False,
-    run_id: RunOption = None,
-) -> None:
+def doctor(bag: BagArgument, as_json: JsonOption = False) -> None:
     """Check a bag; report each problem, where it is and how to repair it.
 
     Checks checksums, counts, stamps, type hashes, the completeness of every step, and the
@@ -169,9 +160,7 @@ def doctor(
     """
     from taxinet_ros.cli.bag.doctor import run_bag_doctor
 
-    if not images:
-        refuse_given(context, ('run_id',), 'all runs are checked; it selects one for --images only')
-    raise typer.Exit(run_bag_doctor(bag, as_json=as_json, images=images, run=run_id))
+    raise typer.Exit(run_bag_doctor(bag, as_json=as_json))
 
 
 @bag_app.command()

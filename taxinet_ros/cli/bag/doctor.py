@@ -13,21 +13,17 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from taxinet_ros.bag.check.doctor import check_bag, check_recorded_frames
+from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.findings import Check, Finding
 from taxinet_ros.campaign.doctor import Examination, examine
-from taxinet_ros.cli.bag.input import exit_code_of, one_run
+from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.errors import ExitCode
 
 
-def run_bag_doctor(
-    bag: Path, *, as_json: bool, images: bool = False, run: str | None = None
-) -> int:
+def run_bag_doctor(bag: Path, *, as_json: bool) -> int:
     """Check a bag and print the findings; exit code 0 nothing is wrong, 2 not readable, 3 wrong."""
     def check() -> int:
         checks = check_bag(bag).checks
-        if images:
-            checks += (check_recorded_frames(one_run(bag, run)),)
         _print_checks(bag, checks, as_json=as_json)
         return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
 
