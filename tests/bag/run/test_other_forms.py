@@ -19,7 +19,6 @@ from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.files.plain_values import load_yaml
 
@@ -98,7 +97,7 @@ def test_given_a_legal_form_then_the_run_is_whole_judged_and_compared_as_before(
 
 @pytest.mark.parametrize('form', EXTRA)
 def test_given_topics_of_another_form_then_no_command_refuses_the_bag(
-    form: str, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    form: str, whole: Path, tmp_path: Path, taxinet: Callable[..., tuple[int, str, str]]
 ) -> None:
     bag = rewritten(whole, tmp_path / 'x.mcap', extra=EXTRA[form])
     for words in (
@@ -107,12 +106,24 @@ def test_given_topics_of_another_form_then_no_command_refuses_the_bag(
         ('bag', 'export', bag, '--out', tmp_path / 'table.csv'),
         ('bag', 'export', bag, '--out', tmp_path / 'tables'),
     ):
-        assert _exit_code(lambda words=words: app([*map(str, words)], standalone_mode=False)) == 0
-    code = _exit_code(lambda: app(
-        ['bag', 'recover', str(bag), '--out', str(tmp_path / 'new')], standalone_mode=False))
+        assert taxinet(*words)[0] == 0, words
+    code, out, _ = taxinet('bag', 'recover', bag, '--out', tmp_path / 'new')
     kept = form == 'an empty type'
-    assert code == (0 if kept else 3)
-    assert ('left out: topic' in capsys.readouterr().out) or kept or 'nobody' in form
+    assert (code, 'damage: left out: ' in out) == (0 if kept else 3, not kept)
+
+
+def test_given_a_recorder_without_checksums_then_every_command_says_so(
+    whole: Path, tmp_path: Path, taxinet: Callable[..., tuple[int, str, str]]
+) -> None:
+    assert open_recording(whole).info.unchecked == ''
+    bag = rewritten(whole, tmp_path / 'x.mcap', enable_crcs=False)
+    for words in (
+        ('monitor', bag), ('bag', 'info', bag), ('bag', 'doctor', bag),
+        ('bag', 'recover', bag, '--out', tmp_path / 'saved'),
+    ):
+        code, out, _ = taxinet(*words)
+        assert (code, '168 of 168 messages have no checksum' in out) == (0, True), words
+        assert 'under the checksums' not in out
 
 
 def test_given_an_empty_definition_of_another_version_then_no_message_is_made_up(
@@ -150,7 +161,7 @@ def test_given_a_whole_bag_without_metadata_yaml_then_folder_and_file_are_judged
 ])
 def test_given_a_split_bag_with_an_unreadable_file_then_the_others_are_read_and_it_is_named(
     name: str, content: bytes, reason: str, whole: Path, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    taxinet: Callable[..., tuple[int, str, str]],
 ) -> None:
     bag = tmp_path / 'run'
     bag.mkdir()
@@ -168,8 +179,8 @@ def test_given_a_split_bag_with_an_unreadable_file_then_the_others_are_read_and_
     saved = recover(bag, tmp_path / 'saved')
     assert (saved.saved, len(saved.damage)) == (expected, 1)
     assert read_info(tmp_path / 'saved').complete
-    assert _exit_code(lambda: app(['bag', 'info', str(bag), '--json'], standalone_mode=False)) == 3
-    assert reason in json.loads(capsys.readouterr().out)['trouble']
+    code, out, _ = taxinet('bag', 'info', bag, '--json')
+    assert (code, reason in json.loads(out)['trouble']) == (3, True)
 
 
 def test_given_a_bag_renamed_or_described_anew_then_nothing_is_wrong(

@@ -14,7 +14,6 @@ from bag_faults import STEPS, chunks_of, read_all
 from bag_samples import samples, write_bag
 from whole_runs import run_messages, write_run
 
-from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
 from taxinet_ros.bag.reader import read_info, read_messages
@@ -136,19 +135,3 @@ def test_given_a_disk_that_fails_amid_a_file_when_read_then_all_before_it_comes(
     assert isinstance(error, BagCorrupt)
     assert f'at byte {start}: [Errno 5] Input/output error; {len(found)} intact' in str(error)
     assert 6 <= len(found) < len(samples(STEPS))
-
-
-def test_given_chunks_without_checksum_then_it_is_said(
-    whole: bytes, damaged: Callable[[bytes], Path]
-) -> None:
-    assert read_info(damaged(whole)).unchecked == ''
-    chunks = chunks_of(whole)
-    data = bytearray(whole[:chunks[-1][1]])
-    for start, _ in chunks[:2]:
-        data[start + 33:start + 37] = bytes(4)
-    path = damaged(bytes(data))
-    line = '13 of 19 messages have no checksum, so that damage in them'
-    assert line in read_info(path).unchecked
-    (check,) = [one for one in check_bag(path).checks if one.name == 'bytes']
-    assert line in check.looked_at
-    assert 'under the checksums' not in check.looked_at
