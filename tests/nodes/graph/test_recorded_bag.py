@@ -114,7 +114,7 @@ def test_given_a_recorder_killed_in_a_graph_of_processes_then_whole_steps_stay(t
     whole = min(n for name, n in counts.items() if name.strip('/') not in ONCE)
     assert steps - 1 <= whole <= steps
     assert wrong(tmp_path / 'saved') == {
-        'steps': ['0 messages, not 1; the bag ends before the run does'],
+        'lockstep': ['0 messages, not 1; the bag ends before the run does'],
     }
     facts = open_recording(tmp_path / 'saved').facts
     assert facts is not None
