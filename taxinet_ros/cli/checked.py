@@ -19,7 +19,7 @@ from typer.core import TyperCommand
 from taxinet_ros.errors import UsageError
 
 RECORD_NAMES = frozenset({
-    'campaign.json', 'ledger.jsonl', 'runs.csv', 'runs.parquet', 'learned.json',
+    'campaign.db', 'runs.csv', 'runs.parquet', 'learned.json',
     'metadata.yaml', 'stack.json', 'trials.jsonl', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
     'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl',
@@ -36,6 +36,7 @@ _RECORDING = '.mcap'
 _LOOK = 65_536
 _TABLE = '.parquet'
 _STARTS = (
+    (b'SQLite format 3\0', 'a record (SQLite)'),
     (b'PAR1', 'a table (Parquet)'),
     (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
     (b'{"sum":"', 'a journal'),

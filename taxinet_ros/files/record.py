@@ -225,10 +225,10 @@ def repair_record(path: Path) -> str:
         except UsageError as error:
             if _is_of_another_version(path):
                 raise
-            why = str(error).removeprefix(f'{path}: ')
+            why = str(error).removeprefix(f'{path}: damaged (').removesuffix(')')
         entries = _intact(path)
         if not entries:
-            raise UsageError(f'{path}: {why}, and no entry of it can be read; choose another --out')
+            raise UsageError(f'{path}: damaged ({why}), and no entry of it can be read; choose another --out')
         number = 1
         while (copy := path.with_name(f'{path.name}.damaged-{number}')).exists():
             number += 1
@@ -451,9 +451,9 @@ def _named(path: Path) -> Iterator[None]:
                 raise OSError(code, os.strerror(code), str(path)) from error
         if name.startswith('SQLITE_IOERR'):
             raise disk_error(path, OSError(errno.EIO, str(error))) from error
-        raise UsageError(f'{path}: damaged ({error})') from error
+        raise UsageError(f'{path}: damaged ({error!s:.80})') from error
     except (sqlite3.DatabaseError, UnicodeError) as error:
-        raise UsageError(f'{path}: damaged ({error})') from error
+        raise UsageError(f'{path}: damaged ({error!s:.80})') from error
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:

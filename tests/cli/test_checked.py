@@ -18,13 +18,14 @@ from taxinet_ros.bag import layout
 from taxinet_ros.bag.check import compare
 from taxinet_ros.campaign import experiment, learned_result
 from taxinet_ros.campaign.past_runs import localisation
-from taxinet_ros.campaign.record import facts, table
+from taxinet_ros.campaign.record import table
 from taxinet_ros.cli.checked import RECORD_NAMES, check_output, outputs
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.assurance import judge
 from taxinet_ros.extras.evidence import evidence
 from taxinet_ros.extras.tune import tuning
+from taxinet_ros.files import record
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.study.improve import loop
 from taxinet_ros.study.improve import options as improve_options
@@ -80,8 +81,9 @@ def campaign(tmp_path, monkeypatch):
     shutil.copytree(BAGS / 'learn-ce-2', 'c')
     run = tmp_path / 'c' / 'run'
     shutil.copytree(BAG, run)
-    (tmp_path / 'c' / 'ledger-of-may').write_text('{"sum":"00","event":"campaign"}\n')
+    (tmp_path / 'c' / 'journal-of-may').write_text('{"sum":"00","event":"campaign"}\n')
     write_sealed(tmp_path / 'c' / 'forecast', {'a': 1})
+    record.Record(tmp_path / 'c' / 'record-of-may').close()
     return tmp_path / 'c'
 
 
@@ -102,7 +104,7 @@ def test_given_all_commands_then_the_options_that_write_a_file_are_known_and_che
 
 def test_given_the_names_of_records_then_all_are_known():
     names = {
-        facts.FACTS_NAME, facts.LEDGER_NAME, table.CSV_NAME, table.PARQUET_NAME,
+        record.RECORD_NAME, table.CSV_NAME, table.PARQUET_NAME,
         layout.METADATA_FILE, compare.STACK_FILE,
         learned_result.LEARNED_NAME, localisation.TRIALS_NAME, tuning.TRIALS_NAME,
         experiment.PAIRS_NAME, experiment.JSON_NAME, analysis_folder.JSON_NAME,
@@ -126,14 +128,14 @@ LOG = ('check-node', 'true', '--log')
 @pytest.mark.ros
 @pytest.mark.parametrize('words', [GATE, MONITOR, FORECAST, EXPORT, LOG])
 @pytest.mark.parametrize('name', [
-    'ledger.jsonl', 'runs.csv', 'runs.parquet', 'campaign.json', 'learned.json', 'ledger-of-may',
+    'campaign.db', 'runs.csv', 'runs.parquet', 'learned.json', 'journal-of-may', 'record-of-may',
     'forecast', 'run/metadata.yaml', 'run/truth-nominal.mcap', 'run/new.mcap',
-    '../link-to-the-ledger',
+    '../link-to-the-journal',
 ])
 def test_given_a_record_in_the_place_of_an_output_then_it_is_refused_and_nothing_changes(
     campaign, words, name, capsys
 ):
-    (campaign.parent / 'link-to-the-ledger').symlink_to('c/ledger-of-may')
+    (campaign.parent / 'link-to-the-journal').symlink_to('c/journal-of-may')
     mcap = next((campaign / 'run').glob('*.mcap'))
     name = name.replace('truth-nominal.mcap', mcap.name)
     before = digests(campaign.parent)

@@ -36,6 +36,7 @@ from taxinet_ros.campaign.record.facts import (
     EXTENSIONS,
     FACTS,
     ODD,
+    SPARE,
     STACKS,
     UNTIL,
     package_words,
@@ -364,7 +365,7 @@ class CampaignBook:
         self._facts_due = False
         with self._watched():
             self._record.remove(END)
-            self._record.put(FACTS, '', self.facts)
+            self._record.put_all([(FACTS, '', self.facts), (SPARE, FACTS, self.facts)])
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:

@@ -70,9 +70,9 @@ def exchange(experiment: Path) -> None:
 
 
 @pytest.mark.parametrize(('change', 'says'), [
-    (exchange, 'near/ledger.jsonl: its first '),
-    (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
-    (lambda experiment: (experiment / 'far' / 'ledger.jsonl').unlink(), 'far/ledger.jsonl: '),
+    (exchange, 'near: is arm far of its experiment'),
+    (lambda experiment: shutil.rmtree(experiment / 'far'), 'far: '),
+    (lambda experiment: (experiment / 'far' / 'campaign.db').unlink(), 'far: '),
     (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track_m is 0.0, the row has 4'),
     (hide_the_arm, 'far/runs.csv: '),
 ])
