@@ -12,7 +12,8 @@ from pathlib import Path
 from processes import TAXINET, VERDICTS, Amounts
 
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.processes.child import ChildProcess, package_environment
@@ -55,7 +56,7 @@ def _search(folder: Path, workers: int) -> Mapping[str, int]:
         environment=package_environment(),
     ) as process:
         try:
-            stamps = _watch(process, out / LEDGER_NAME)
+            stamps = _watch(process, out)
         finally:
             process.end()
         if process.code not in VERDICTS or len(stamps) != RUNS:
@@ -66,15 +67,15 @@ def _search(folder: Path, workers: int) -> Mapping[str, int]:
     return {name: (stamps[-1] - stamps[workers - 1]) // counted}
 
 
-def _watch(process: ChildProcess, ledger: Path) -> list[int]:
+def _watch(process: ChildProcess, folder: Path) -> list[int]:
     """Times at which each result was first seen on disk, by :func:`time.perf_counter_ns`."""
     stamps: list[int] = []
     deadline = time.monotonic() + _LIMIT_S
     ended = False
     while not ended:
         ended = process.dead
-        if ledger.exists():
-            results = ledger.read_bytes().count(b'"event":"result"')
+        if is_campaign(folder):
+            results = len(read_campaign(folder).rows)
             stamps += [time.perf_counter_ns()] * (results - len(stamps))
         if time.monotonic() > deadline:
             raise InfraError(

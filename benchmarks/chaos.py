@@ -9,6 +9,7 @@ command may hang, leave a process behind, end in a traceback or return an unexpe
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 import random
@@ -29,12 +30,13 @@ from common import count, leave, make_table, options, page_console, positive
 import psutil
 from processes import VERDICTS
 
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.processes.child import ChildProcess
 
 HANG_S = 900.0
@@ -69,7 +71,7 @@ class Subject:
     Attributes:
         words: the command, without ``--out``.
         runs: number of runs in each of its folders.
-        folders: folders of its ledgers, relative to its output folder.
+        folders: folders of its records, relative to its output folder.
         resumable: whether it accepts ``--resume``.
     """
 
@@ -268,7 +270,7 @@ class _Sitting:
         """Wait for ``number`` results; False if it ended before."""
         deadline = time.monotonic() + HANG_S
         while self.process.poll() is None and time.monotonic() < deadline:
-            told = sum(_events(path) for path in self.out.glob(f'**/{LEDGER_NAME}'))
+            told = sum(_results(path.parent) for path in self.out.glob(f'**/{RECORD_NAME}'))
             if told >= number:
                 return True
             time.sleep(0.02)
@@ -331,7 +333,7 @@ class _Trial:
         return code
 
     def _told(self) -> int:
-        return sum(_events(path) for path in self._out.glob(f'**/{LEDGER_NAME}'))
+        return sum(_results(path.parent) for path in self._out.glob(f'**/{RECORD_NAME}'))
 
     def _undisturbed_end(self) -> None:
         with self._chaos.sit(self._words(), self._place) as sitting:
@@ -380,15 +382,11 @@ class _Trial:
         for key, row in self._judged.items():
             if changed := _changed(self._whole[key], row):
                 self._broke('rows changed', f'{name}: run {key} of the undisturbed one: {changed}')
-        for folder in self._subject.folders:
-            twice = [key for key, times in _judged_times(self._out / folder).items() if times > 1]
-            if twice:
-                self._broke('rows doubled', f'{name}: runs {twice} were judged again')
         if code in VERDICTS:
             self._check_verdict(name, code, rows)
 
     def _rows(self, name: str) -> Rows:
-        """Current rows; none if a ledger cannot be read, which is recorded as a violation."""
+        """Current rows; none if a record cannot be read, which is recorded as a violation."""
         try:
             return _rows(self._subject, self._out)
         except UsageError as error:
@@ -403,7 +401,7 @@ class _Trial:
             self._broke('exit code', f'{name}: {code} with a broken run')
 
     def _compare(self) -> None:
-        """Check that the final ledger and table equal those of the undisturbed campaign."""
+        """Check that the final record and table equal those of the undisturbed campaign."""
         rows = self._rows('the end')
         self._found.rows += len(rows)
         if rows.keys() != self._whole.keys():
@@ -431,11 +429,12 @@ class _Trial:
         path = self._draw.choice(files)
         data = bytearray(path.read_bytes())
         self._kept.setdefault(path, bytes(data))
-        if name == 'ledger cut':
-            del data[self._draw.randrange(data.rfind(b'\n', 0, -1) + 1, len(data)):]
-            self._judged.clear()  # its last row may be lost and is made again
+        if name == 'record cut':
+            del data[self._draw.randrange(4096, len(data)):]
         else:
             data[self._draw.randrange(len(data))] ^= 1 << self._draw.randrange(8)
+        if path.name == RECORD_NAME:
+            self._judged.clear()  # what is lost is made again
         path.write_bytes(bytes(data))
         noticed = ''
         if name == 'bag bit':
@@ -462,45 +461,29 @@ class _Trial:
         return ExitCode.USAGE
 
 
-def _events(ledger: Path) -> int:
-    """Number of results in a ledger."""
+def _results(folder: Path) -> int:
+    """Number of results in a record."""
     try:
-        return ledger.read_bytes().count(b'"event":"result"')
-    except OSError:
+        return len(read_campaign(folder).rows)
+    except (OSError, UsageError):
         return 0
 
 
 def _rows(subject: Subject, out: Path) -> Rows:
-    """All rows in the ledgers."""
+    """All rows in the records."""
     return {
-        (folder, row.index): row for folder in subject.folders
-        if (out / folder / LEDGER_NAME).exists()
-        for row in read_ledger(out / folder / LEDGER_NAME).rows
+        (folder, row.index): row for folder in subject.folders if is_campaign(out / folder)
+        for row in read_campaign(out / folder).rows
     }
 
 
 def _changed(before: RunRow, after: RunRow) -> str:
     """Columns in which two rows differ although they must be equal, with both values."""
-    one, other = before.to_json(), after.to_json()
+    one, other = dataclasses.asdict(before), dataclasses.asdict(after)
     return ', '.join(
         f'{key} {one[key]} is {other[key]}'
         for key in one if key not in _HISTORY and one[key] != other[key]
     )
-
-
-def _judged_times(folder: Path) -> Counter[int]:
-    """How often each run was judged."""
-    found: Counter[int] = Counter()
-    path = folder / LEDGER_NAME
-    for line in path.read_text(errors='replace').splitlines() if path.exists() else ():
-        try:
-            event = json.loads(line)
-        except ValueError:
-            continue  # damaged, or torn
-        row = event.get('row') if isinstance(event, dict) else None
-        if isinstance(row, dict) and row.get('outcome') in ('PASS', 'FAIL'):
-            found[row['index']] += 1
-    return found
 
 
 # Faults ----------------------------------------------------------------------------------------
@@ -563,10 +546,10 @@ def _move_back(sitting: _Sitting) -> None:
 
 
 def _copy_over(sitting: _Sitting) -> None:
-    """Replace a ledger by another file with the same bytes."""
-    for ledger in sorted(sitting.out.glob(f'**/{LEDGER_NAME}'))[-1:]:
-        shutil.copy(ledger, sitting.place / 'ledger')
-        (sitting.place / 'ledger').rename(ledger)
+    """Replace a record by another file with the same bytes."""
+    for record in sorted(sitting.out.glob(f'**/{RECORD_NAME}'))[-1:]:
+        shutil.copy(record, sitting.place / 'record')
+        (sitting.place / 'record').rename(record)
 
 
 _BROKEN = frozenset({ExitCode.INFRA})
@@ -592,20 +575,19 @@ FAULTS: Mapping[str, Fault] = {
         act=_move, codes=_BROKEN, afterwards=_move_back, too_early=_NOTHING_THERE),
     'folder replaced': Fault(
         act=_replace, codes=_BROKEN, afterwards=_move_back, too_early=_NOTHING_THERE),
-    'ledger replaced': Fault(act=_copy_over, codes=_BROKEN),
+    'record replaced': Fault(act=_copy_over, codes=_BROKEN),
 }
 
 _OF_ALL = ('campaign killed', 'campaign terminated', 'Ctrl-C', 'Ctrl-C twice', 'campaign stopped',
-           'Scenic killed', 'no room', 'folder moved', 'folder replaced', 'ledger replaced')
+           'Scenic killed', 'no room', 'folder moved', 'folder replaced', 'record replaced')
 RESUMED = (*_OF_ALL, 'worker killed', 'worker terminated', 'worker stopped')
 NOT_RESUMED = (*_OF_ALL, 'node killed', 'node terminated', 'node stopped')
 
 DAMAGES: Mapping[str, tuple[str, ...]] = {
     'bag bit': ('**/*.mcap',),
     'table bit': (f'**/{CSV_NAME}', f'**/{PARQUET_NAME}'),
-    'campaign.json bit': (f'**/{FACTS_NAME}',),
-    'ledger bit': (f'**/{LEDGER_NAME}',),
-    'ledger cut': (f'**/{LEDGER_NAME}',),
+    'record bit': (f'**/{RECORD_NAME}',),
+    'record cut': (f'**/{RECORD_NAME}',),
 }
 
 

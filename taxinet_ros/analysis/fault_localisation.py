@@ -128,7 +128,7 @@ class Localisation:
 
     @property
     def rounded(self) -> int:
-        """Counted cases whose scene is known only from the ledger."""
+        """Counted cases whose scene is known only from the record."""
         return sum(not case.trials[AS_RECORDED].exact for case in self.counted)
 
     def passing(self, word: str) -> tuple[int, int, Rate]:
@@ -318,7 +318,7 @@ def localisation_json(found: Localisation) -> dict[str, Any]:
     return plain_values({
         'perception': found.perception, 'spec': found.spec, 'failed': found.failed,
         'judged': found.runs, 'looked_into': len(found.cases), 'counted': len(found.counted),
-        'scenes_from_ledger': found.rounded, 'made_on': dict(provenance()),
+        'scenes_from_record': found.rounded, 'made_on': dict(provenance()),
         'not_reproduced': [case.row.run_id for case in found.not_reproduced],
         'blame': {blame.value: found.blames.get(blame, 0) for blame in Blame},
         'suffices': {
@@ -415,7 +415,7 @@ def _reservations(found: Localisation) -> Iterator[str]:
         )
     if found.rounded:
         yield (
-            f'{found.rounded} have no bag: the ledger has their scenes to nine decimals only, so '
+            f'{found.rounded} have no bag: the record has their scenes to nine decimals only, so '
             'they were only required to fail again.'
         )
     if found.chosen_by not in _UNBIASED:

@@ -31,7 +31,7 @@ class Counterexample:
     """A failed run of a campaign.
 
     Attributes:
-        row: its row in the campaign's ledger.
+        row: its row in the campaign's record.
         campaign: the campaign.
     """
 
@@ -127,7 +127,7 @@ def open_campaign(path: str | os.PathLike[str]) -> Campaign:
         path: the folder.
 
     Raises:
-        UsageError: not a campaign, or its ledger is damaged.
+        UsageError: not a campaign, or its record is damaged.
     """
     folder = Path(path)
     if not is_campaign(folder):

@@ -1,1 +1,1 @@
-"""Campaigns: scenes drawn from Scenic programs, and the ledger, table and rates of their runs."""
+"""Campaigns: scenes drawn from Scenic programs, and the record, table and rates of their runs."""

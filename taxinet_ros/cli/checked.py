@@ -20,27 +20,24 @@ from taxinet_ros.errors import UsageError
 
 RECORD_NAMES = frozenset({
     'campaign.db', 'runs.csv', 'runs.parquet', 'learned.json',
-    'metadata.yaml', 'stack.json', 'trials.jsonl', 'experiment.json',
+    'metadata.yaml', 'stack.json', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
-    'assurance.json', 'scenes.jsonl', 'trials.csv', 'alarms.csv', 'study.json', 'stages.jsonl',
-    'improve.json', 'rounds.jsonl', 'dataset.json', 'request.json', 'labels.csv',
-    'labels.parquet', 'evidence.json', 'MANIFEST',
+    'assurance.json', 'trials.csv', 'alarms.csv', 'study.json', 'improve.json', 'dataset.json',
+    'request.json', 'labels.csv', 'labels.parquet', 'evidence.json', 'MANIFEST',
 })
 """Names of files in which campaigns, experiments, studies, data sets and bags are recorded."""
 
 _READ = frozenset({
-    '.safetensors', '.onnx', '.nnet', '.npz', '.scenic', '.py', '.mcap', '.parquet', '.jsonl',
+    '.safetensors', '.onnx', '.nnet', '.npz', '.scenic', '.py', '.mcap', '.parquet', '.db',
 })
 """Suffixes of files that commands read, and that only an option for such files may replace."""
 _RECORDING = '.mcap'
 _LOOK = 65_536
 _TABLE = '.parquet'
 _STARTS = (
-    (b'SQLite format 3\0', 'a record (SQLite)'),
     (b'PAR1', 'a table (Parquet)'),
     (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
-    (b'{"sum":"', 'a journal'),
-    (b'{"event":', 'a journal'),
+    (b'SQLite format 3\0', 'a record (SQLite)'),
     (b'run_id,index,', 'a table of runs'),
     (b'rosbag2_bagfile_information:', 'the description of a bag'),
 )

@@ -2,7 +2,7 @@
 
 A scenario contains a shipped name or the whole document as JSON, so messages, bags and other
 processes need no file. Tables contain the short reference ``NAME@DIGEST``; the whole document is
-stored once in the campaign's ledger, and the reference resolves after that has been read.
+stored once in the campaign's record, and the reference resolves after that has been read.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Catalogue(Generic[_T]):
             if text not in self._known:
                 raise UsageError(
                     f'scenario: {self.key} {text} is known by its digest only; the whole of it is '
-                    'in the ledger of its campaign, and in the bags of its runs'
+                    'in the record of its campaign, and in the bags of its runs'
                 )
             return self._known[text]
         return self.find(text)

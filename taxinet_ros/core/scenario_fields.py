@@ -1,7 +1,7 @@
 """Table of scenario keys: names, units, ranges, allowed words and titles.
 
 A key is the user-facing name and includes its unit. It is used in Scenic programs, after ``--set``,
-in experiments, tables, ledgers, labels and JSON. The attribute of
+in experiments, tables, records, labels and JSON. The attribute of
 :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units.
 
 Input also accepts a key without its unit (short form: ``rain`` for ``rain_percent``);

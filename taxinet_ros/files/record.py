@@ -19,7 +19,7 @@ import json
 import os
 import shutil
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -35,7 +35,7 @@ _SCHEMA = (
     f'PRAGMA application_id = {_APPLICATION_ID}',
     f'PRAGMA user_version = {_VERSION}',
     'CREATE TABLE entries (kind TEXT NOT NULL, key TEXT NOT NULL, value TEXT NOT NULL, '
-    'digest BLOB NOT NULL, PRIMARY KEY (kind, key)) WITHOUT ROWID',
+    'digest BLOB NOT NULL, PRIMARY KEY (kind, key))',
     'CREATE TABLE total (number INTEGER NOT NULL, digest BLOB NOT NULL)',
 )
 _BUSY_S = 20.0
@@ -45,17 +45,21 @@ _LOST = 'lost'
 
 Entries = dict[str, dict[str, Any]]
 """Values by kind and key, in the order of the keys."""
+Makers = Mapping[str, Callable[[Any], Any]]
+"""By kind, what is made of each value as it is read, so that plain values need not be kept."""
+AS_IT_IS: Makers = {}
 
 
 class Record:
     """An open record. A context manager."""
 
-    def __init__(self, path: Path, *, create: bool = True) -> None:
+    def __init__(self, path: Path, *, create: bool = True, makers: Makers = AS_IT_IS) -> None:
         """Open a record for writing.
 
         Args:
             path: its file.
             create: whether it may be created, with its folder.
+            makers: for :attr:`entries`.
 
         Raises:
             UsageError: another command writes it, or it is damaged or of another version.
@@ -71,7 +75,8 @@ class Record:
                 self._connection = _connect(path, 'rwc' if create else 'rw')
                 _begin(self._connection)
             sync_folder(path.parent)
-            self._entries = _checked(path, self._connection)
+            self._entries = _checked(path, self._connection, makers)
+            self._total = _total(self._connection)
             self._inode = _inode(path)
         except BaseException:
             self.close()
@@ -143,24 +148,26 @@ class Record:
 
     def _change(self, entries: Iterable[tuple[str, str, str | None]]) -> None:
         connection = self._open()
+        number, total = self._total
         with self._in_place(), _named(self._path), _transaction(connection):
-            number, total = _total(connection)
             for kind, key, value in entries:
                 found = connection.execute(
                     'SELECT digest FROM entries WHERE kind = ? AND key = ?', (kind, key)
                 ).fetchone()
                 if found is not None:
                     number, total = number - 1, _xor(total, found[0])
+                if value is None:
                     connection.execute(
                         'DELETE FROM entries WHERE kind = ? AND key = ?', (kind, key)
                     )
-                if value is not None:
-                    digest = _digest(kind, key, value)
-                    number, total = number + 1, _xor(total, digest)
-                    connection.execute(
-                        'INSERT INTO entries VALUES (?, ?, ?, ?)', (kind, key, value, digest)
-                    )
+                    continue
+                digest = _digest(kind, key, value)
+                number, total = number + 1, _xor(total, digest)
+                connection.execute(
+                    'INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?)', (kind, key, value, digest)
+                )
             connection.execute('UPDATE total SET number = ?, digest = ?', (number, total))
+        self._total = number, total
 
     @contextlib.contextmanager
     def _in_place(self) -> Iterator[None]:
@@ -171,7 +178,7 @@ class Record:
             self.check_in_place()
 
 
-def read_record(path: Path) -> Entries:
+def read_record(path: Path, makers: Makers = AS_IT_IS) -> Entries:
     """Read a record, even while it is being written.
 
     Raises:
@@ -180,7 +187,7 @@ def read_record(path: Path) -> Entries:
     """
     if not path.is_file():
         raise UsageError(f'{path}: no such file')
-    entries = _read(path)
+    entries = _read(path, makers)
     for why in entries.get(_LOST, {}).values():
         raise UsageError(f'{path}: was damaged ({why}); continue it to its end with --resume')
     return entries
@@ -312,14 +319,14 @@ def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
         raise
 
 
-def _read(path: Path) -> Entries:
+def _read(path: Path, makers: Makers = AS_IT_IS) -> Entries:
     if path.stat().st_size == 0:
         raise UsageError(f'{path}: is empty; its command was killed as it began')
     with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
-        return _checked(path, connection)
+        return _checked(path, connection, makers)
 
 
-def _checked(path: Path, connection: sqlite3.Connection) -> Entries:
+def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entries:
     """All entries, in one view of the file; their digests and number are checked."""
     found: Entries = {}
     number, total = 0, bytes(_DIGEST_BYTES)
@@ -331,7 +338,12 @@ def _checked(path: Path, connection: sqlite3.Connection) -> Entries:
                 if not _is_intact(kind, key, value, digest):
                     raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
                 number, total = number + 1, _xor(total, digest)
-                found.setdefault(kind, {})[key] = json.loads(value)
+                values = json.loads(value)
+                try:
+                    made = makers[kind](values) if kind in makers else values
+                except UsageError as error:
+                    raise UsageError(f'{path}: {error}') from error
+                found.setdefault(kind, {})[key] = made
             if _total(connection) != (number, total):
                 raise UsageError(f'{path}: damaged (entries are missing or exchanged)')
         finally:

@@ -305,7 +305,7 @@ def _check_alike(campaigns: Sequence[CampaignRuns]) -> None:
             ('perception', system[0], systems[0][0]), ('weights', sha, weights[0]),
             ('controller', system[1], systems[0][1]), ('formula', one.spec, first.spec),
         ):
-            # A table without campaign.json knows neither weights nor controller.
+            # A table without its record knows neither weights nor controller.
             unknown = what in ('weights', 'controller') and '' in (mine, other)
             if mine != other and not unknown:
                 raise UsageError(

@@ -174,7 +174,7 @@ class CampaignRuns:
         path: folder or file that it was read from.
         program, perception, sampler: scenario program, perception, and sampler of the scenes.
         spec: name of the formula that defines failure.
-        facts: contents of ``campaign.json``, if there is one.
+        facts: facts of the campaign, if they are recorded beside the table.
         stacks: machines, libraries and code of the runs; empty if not recorded.
         frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
             ``rho`` (NaN if its size is unknown), ``rho_exact`` (False if the run was stopped early

@@ -57,7 +57,7 @@ class Output:
         Args:
             path: the file.
             keep_free_bytes: disk space to keep free [bytes], so that other files on it, such as a
-                campaign's ledger, can still be written.
+                campaign's record, can still be written.
         """
         self.path = path
         self.size = 0

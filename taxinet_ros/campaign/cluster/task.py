@@ -50,7 +50,7 @@ class Job:
     Attributes:
         campaign: unique name of this session of the campaign.
         command: command of a child, with :data:`PYTHON` and :data:`OUT`.
-        facts: content of the campaign's ``campaign.json``.
+        facts: facts of the campaign, as JSON.
         needs: text of :class:`.Needs`.
         here: text of the :class:`.Machine` on which the campaign is led.
         folder: where children make their folders, seen by all machines; '' for any local place.

@@ -10,6 +10,7 @@ from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 from taxinet_ros.campaign.record.content import (
+    MAKERS,
     REQUIREMENT,
     ROW,
     CampaignContent,
@@ -103,7 +104,7 @@ def add_requirements(
 
 def _opened(folder: Path) -> Record:
     """The record of an intact campaign that no command writes."""
-    return Record(folder / RECORD_NAME, create=False)
+    return Record(folder / RECORD_NAME, create=False, makers=MAKERS)
 
 
 def _own_formulas(content: CampaignContent) -> dict[str, str]:

@@ -1,1 +1,1 @@
-"""A campaign on disk: options, ledger, rows and table of its runs."""
+"""A campaign on disk: facts, rows and table of its runs."""

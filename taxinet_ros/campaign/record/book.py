@@ -23,6 +23,7 @@ from taxinet_ros.campaign.record.content import (
     BEGUN,
     DOCUMENT,
     END,
+    MAKERS,
     ROW,
     CampaignContent,
     campaign_content,
@@ -204,7 +205,7 @@ class CampaignBook:
         path = self._out / RECORD_NAME
         if path.is_file() and path.stat().st_size and (why := repair_record(path)):
             warn_once(f'{why}; add requirements of taxinet monitor --add that are lost again')
-        self._record = Record(path)
+        self._record = Record(path, makers=MAKERS)
         try:
             self.earlier = campaign_content(path, self._record.entries)
         except BaseException:

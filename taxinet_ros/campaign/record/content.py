@@ -11,11 +11,22 @@ from taxinet_ros.campaign.record.facts import FACTS, SPARE
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME, Entries, read_record
+from taxinet_ros.files.record import RECORD_NAME, Entries, Makers, read_record
 
 BEGUN, ROW, REQUIREMENT, DOCUMENT, END = 'begun', 'row', 'requirement', 'document', 'end'
 """Kinds of entries: a run that was started, its result, a formula evaluated afterwards, a document
 that is not shipped, and that the campaign ended in good order after the last result."""
+
+
+def _row(values: Any) -> RunRow:
+    try:
+        return RunRow.from_json(values)
+    except (LookupError, TypeError, ValueError) as error:
+        raise UsageError(f'not a row of this version ({error})') from error
+
+
+MAKERS: Makers = {ROW: _row}
+"""What is made of the entries of a campaign."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,7 +62,7 @@ def read_campaign(folder: Path) -> CampaignContent:
         UsageError: there is none, or it is damaged.
     """
     path = folder / RECORD_NAME
-    return campaign_content(path, read_record(path))
+    return campaign_content(path, read_record(path, MAKERS))
 
 
 def campaign_content(path: Path, entries: Entries) -> CampaignContent:
@@ -59,7 +70,7 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
 
     Args:
         path: path of the record, for messages.
-        entries: the entries.
+        entries: the entries, with rows by :data:`MAKERS`.
 
     Raises:
         UsageError: an entry is not one of this version.
@@ -73,7 +84,7 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
         )
         return CampaignContent(
             facts=next(iter(facts.values()), {}),
-            rows=tuple(RunRow.from_json(values) for values in entries.get(ROW, {}).values()),
+            rows=tuple(entries.get(ROW, {}).values()),
             attempts={int(key): attempts for key, attempts in entries.get(BEGUN, {}).items()},
             added=entries.get(REQUIREMENT, {}), finished=END in entries, documents=documents,
         )

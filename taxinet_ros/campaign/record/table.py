@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import filterfalse, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,10 +83,11 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
     dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
     figures = list(dict.fromkeys(name for row in ordered for name in row.free))
     kinds = _kinds(names, dimensions, figures)
-    lines = [_line(row, names, dimensions, figures) for row in ordered]
     columns: dict[str, pd.Series[Any]] = {
-        name: pd.Series([line[name] for line in lines], dtype=kind)
-        for name, kind in kinds.items()
+        name: pd.Series(values, dtype=kind)
+        for (name, kind), values in zip(
+            kinds.items(), _columns(ordered, names, dimensions, figures), strict=True
+        )
     }
     return pd.DataFrame(columns)
 
@@ -279,21 +280,32 @@ def _kinds(
     }
 
 
-def _line(
-    row: RunRow, specs: Sequence[str], dimensions: Sequence[str], figures: Sequence[str]
-) -> dict[str, Any]:
-    values = {
-        name: getattr(row, _ATTRIBUTES.get(name, name))
-        for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
+def _columns(
+    rows: Sequence[RunRow], specs: Sequence[str], dimensions: Sequence[str],
+    figures: Sequence[str],
+) -> Iterator[list[Any]]:
+    """Values of each column, in the order of :func:`_kinds`."""
+    def attributes(names: Iterable[str]) -> Iterator[list[Any]]:
+        for name in names:
+            values = [getattr(row, _ATTRIBUTES.get(name, name)) for row in rows]
+            yield [value.value for value in values] if name == 'outcome' else values
+
+    yield from attributes(_BEFORE_POINT)
+    yield from ([row.point.get(name) for row in rows] for name in dimensions)
+    *before, _ = _BEFORE_RHO
+    yield from attributes(before)
+    rho = {
+        name: [known.lower if (known := row.robustness.get(name)) and known.exact else None
+               for row in rows]
+        for name in specs
     }
-    values['outcome'] = row.outcome.value
-    point = {f'{_POINT}{name}': row.point.get(name) for name in dimensions}
-    point |= {f'{_FREE}{name}': row.free.get(name) for name in figures}
-    rho: dict[str, float | None] = {'rho': row.rho.get(specs[0]) if specs else None}
-    for name in specs:
-        low, high = row.robustness.get(name) or (None, None)
-        rho |= {f'{_RHO}{name}': row.rho.get(name), f'{_LOWER}{name}': low, f'{_UPPER}{name}': high}
-    return {**values, **point, **rho}
+    yield rho[specs[0]] if specs else [None] * len(rows)
+    yield from rho.values()
+    for end in (0, 1):
+        for name in specs:
+            yield [known[end] if (known := row.robustness.get(name)) else None for row in rows]
+    yield from ([row.free.get(name) for row in rows] for name in figures)
+    yield from attributes(_AFTER_RHO)
 
 
 def _spreadsheet_safe(word: Any) -> Any:

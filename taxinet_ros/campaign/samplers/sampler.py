@@ -3,7 +3,7 @@
 :class:`Lagged` makes the sequence independent of the number of workers and the order of their
 results: each run is requested with exactly the results of the runs up to a lag before it. So that
 many runs can be in flight at once, and one worker gets the same points as eight. An
-interrupted campaign resumes by repeating the requests and telling the results in its ledger.
+interrupted campaign resumes by repeating the requests and telling the recorded results.
 :class:`WithDrawn` mixes in a fixed share of draws from the prior, from which rates are estimated.
 """
 

@@ -357,8 +357,9 @@ def doctor(
     disk, browser, FlightGear and a short run, each with its mend; exit code 4 if something is
     broken.
 
-    With a folder: checks every ledger line, tables against the ledger, each bag against its row and
-    each dataset image against its label, and finds leftovers of killed processes. Exit codes: 0 no
+    With a folder: checks every record, each bag against its row and each dataset image against its
+    label, makes tables again that do not say what their record says, and finds leftovers of killed
+    processes. Exit codes: 0 no
     findings, 3 something is incomplete or damaged, 2 nothing to check. The command that made it
     goes on with `--resume`.
     """

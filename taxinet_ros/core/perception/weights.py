@@ -42,7 +42,7 @@ class Source:
         kind: one of :data:`SOURCE_KINDS`.
         name: name of the program, folder or campaign.
         sha256: digest of the program's text, of the folder's labels and images, or of the
-            campaign's ledger.
+            campaign's record.
     """
 
     kind: str

@@ -147,7 +147,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     assert done.returncode == 0, done.stderr
     values = json.loads(done.stdout)
     assert (values['counted'], values['complete']) == (2, True)
-    assert (values['not_reproduced'], values['scenes_from_ledger']) == ([], 0)
+    assert (values['not_reproduced'], values['scenes_from_record']) == ([], 0)
     frame = pd.read_parquet(folder / 'l' / 'localize.parquet')
     assert list(frame['rho']) == list(read_table(folder / 'c')['rho'])
     assert list(frame['rho']) == list(frame['rho_as_recorded'])
