@@ -239,7 +239,7 @@ class CampaignBook:
     def _end(self) -> None:
         """Record that the campaign ended in good order; a repaired record is whole if all are."""
         self._write_due_facts()
-        self._record.put(END, '', len(self.rows))
+        self._record.put_all([(END, '', len(self.rows)), (SPARE, FACTS, self.facts)])
         if 'shrinks' in self.facts or len(self.rows) >= int(self.facts['runs']):
             repaired(self._record)
 
@@ -365,8 +365,9 @@ class CampaignBook:
             return
         self._facts_due = False
         with self._watched():
-            self._record.remove(END)
-            self._record.put_all([(FACTS, '', self.facts), (SPARE, FACTS, self.facts)])
+            for kind in (END, SPARE):
+                self._record.remove(kind)
+            self._record.put(FACTS, '', self.facts)
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:

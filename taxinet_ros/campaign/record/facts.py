@@ -24,8 +24,8 @@ FACTS = 'facts'
 """Kind of the entry of a campaign's record with its facts."""
 
 SPARE = 'spare'
-"""Kind of a second entry with them, without which the runs of a damaged record are useless; it
-sorts last, so that no damage of one page affects both."""
+"""Kind of a second entry with them, as the runs of a damaged record are useless without; it is
+written after the last run, so that no damage of one page affects both."""
 
 ARMS = 'experiment_arms'
 """The fact that names the folders of all arms of an experiment, including this campaign's."""

@@ -150,7 +150,7 @@ def test_given_a_row_that_cannot_be_then_the_record_is_refused(
 ):
     campaign(tmp_path, row(0, stopped=False))
     change_row(tmp_path, 0, **changes)
-    with pytest.raises(UsageError, match=r'campaign\.db: not a record of this version') as caught:
+    with pytest.raises(UsageError, match=r'campaign\.db: not a row of this version') as caught:
         read_campaign(tmp_path)
     assert said in str(caught.value)
     assert '\n' not in str(caught.value)

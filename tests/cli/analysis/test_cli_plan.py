@@ -74,7 +74,7 @@ def test_gate_and_plan_count_the_same_further_runs(passed, open_ended):
     runs = campaign(passed, 0)
     options = GateOptions(min_satisfaction=0.9)
     planned = 10 if open_ended else passed
-    content = dataclasses.replace(runs.content, campaign={'runs': planned})
+    content = dataclasses.replace(runs.content, facts={'runs': planned})
     plan = plan_claim(CLAIM, dataclasses.replace(runs, content=content))
     criterion = gate_result(runs.rows, options, planned=planned).criteria[0]
     further = plan.further[0].drawn
