@@ -24,7 +24,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
 from taxinet_ros.campaign.record.content import CampaignContent, read_campaign
-from taxinet_ros.campaign.record.facts import ARM, FACTS
+from taxinet_ros.campaign.record.facts import ARM, FACTS, is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import (
     CSV_NAME,
@@ -119,7 +119,7 @@ def _is_bag(folder: Path) -> bool:
     """Whether a folder is a bag; a stray bag file in a folder with records does not count."""
     if not any(folder.glob(f'*.{STORAGE_ID}')):
         return False
-    kinds = ('.jsonl', '.json', '.parquet')
+    kinds = ('.db', '.json', '.parquet')
     return not any(path.is_dir() or path.suffix in kinds for path in folder.iterdir())
 
 
@@ -268,7 +268,7 @@ def _check_runs(folder: Path, content: CampaignContent, found: Examination) -> N
         if index is None or index in content.attempts:
             found.notes.append(f'{bag}: a bag without a result in the record{verdict}')
         else:  # the record says before each run that it begins
-            found.report(bag, f'is of run {index}, which the record does not know{verdict}: is the '
+            found.report(bag, f'is of run {index}{verdict}, which the record does not know: is the '
                          f'{RECORD_NAME} an older copy?', _RESUME)
 
 
@@ -280,8 +280,8 @@ def _verdict_of(bag: Path) -> tuple[int | None, str]:
         return None, ''
     if told is None or not told.outcome:
         return None, ''
-    rho = ', '.join(f'{name} {one.interval.upper:+.3f}' for name, one in told.judged.items())
-    return told.index, f'; it says {told.outcome}{f" ({rho})" if rho else ""}'
+    rho = (f'{name} {one.interval.upper:+.3f}' for name, one in told.judged.items())
+    return told.index, f' (it says {", ".join([told.outcome, *rho])})'
 
 
 # Everything else ---------------------------------------------------------------------------------
@@ -299,11 +299,20 @@ def _check_sealed(place: Path, found: Examination) -> None:
             found.report(path, error, _RESUME)
             continue
         found.checked |= {place / name for name in sealed.files}
+        if path.name == EXPERIMENT_NAME:
+            _check_arms(place, sealed.values.get('arms'), found)
         for name, digest in sealed.files.items():
             if not (place / name).is_file():
                 found.report(place / name, f'is missing, but listed in {path.name}', _RESUME)
             elif file_sha256(place / name) != digest:
                 found.report(place / name, f'is not the file recorded in {path.name}', _RESUME)
+
+
+def _check_arms(place: Path, arms: Any, found: Examination) -> None:
+    """Check that the arms of an experiment are there."""
+    for arm in arms if isinstance(arms, dict) else ():
+        if not is_campaign(place / arm):
+            found.report(place / arm, 'is an arm of the experiment, but no campaign', _RESUME)
 
 
 def _check_pictures(place: Path, found: Examination) -> None:

@@ -214,7 +214,6 @@ def test_given_a_run_without_its_first_step_then_nothing_is_known(whole):
 
 def test_given_new_requirements_when_added_then_the_table_keeps_them_for_good(campaign, capsys):
     before = read_table(campaign)
-    events = (campaign / 'ledger.jsonl').read_bytes()
     code, out, _ = call(capsys, campaign, '--spec', 'phi_always', '--spec', SOON, '--add')
     assert code == 1
     assert out.splitlines()[-1] == f'{campaign}: rho_phi_always added for 4 runs'
@@ -226,7 +225,6 @@ def test_given_new_requirements_when_added_then_the_table_keeps_them_for_good(ca
     expected = 1.5 - after.loc[whole, 'max_cross_track_m']
     assert list(after.loc[whole, 'rho_phi_always']) == list(expected)
     assert after.loc[~whole, 'rho_upper.phi_always'].notna().all()
-    assert (campaign / 'ledger.jsonl').read_bytes().startswith(events), 'it is only appended to'
 
     falsify(campaign, 5, '--resume')
     resumed = read_table(campaign)

@@ -24,7 +24,7 @@ from waiting import wait_for
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
@@ -101,7 +101,7 @@ def check_interrupted(place: Place) -> None:
     assert list(read_table(place.table)['outcome']) == ['INTERRUPTED']
     assert read_info(place.bag).complete
     assert check_bag(place.bag).findings == ()
-    (row,) = read_ledger(place.table / 'ledger.jsonl').rows
+    (row,) = read_campaign(place.table).rows
     assert steps_in(place.bag) == list(range(row.steps))
 
 
