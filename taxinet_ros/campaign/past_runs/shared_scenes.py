@@ -2,7 +2,7 @@
 
 The scenes are those of a recorded campaign, of a table, of a bag, or fresh draws of a program. Only
 the network differs between the runs of a scene, so runs are compared in pairs. Finished runs are
-kept in ``trials.jsonl``: the same command continues after an interrupt, also with more networks.
+kept in a record: the same command continues after an interrupt, also with more networks.
 """
 
 from __future__ import annotations
