@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import falsify_samples as toy
 import pytest
-from journal_samples import rewrite
 
 from taxinet_ros.analysis.campaign.report import stack_sentences
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.record import facts as facts_module
-from taxinet_ros.campaign.record.facts import FACTS_NAME, STACKS, recorded_stacks, this_stack
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import STACKS, recorded_stacks, this_stack
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.study.stages import log as log_module
 from taxinet_ros.study.stages.log import StageLog, stack_warning
 
 ELSEWHERE = {**provenance(), 'processor': 'Another One', 'numpy': '0.1'}
@@ -34,18 +33,15 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(facts_module, 'provenance', lambda: ELSEWHERE)
 
 
-def test_provenance_is_in_campaign_ledger_rows_and_table(tmp_path):
+def test_provenance_is_in_record_rows_and_table(tmp_path):
     toy.finish(toy.options(tmp_path))
     record = {this_stack(): dict(provenance())}
-    assert json.loads((tmp_path / FACTS_NAME).read_text())[STACKS] == record
-    content = read_ledger(tmp_path / 'ledger.jsonl')
-    assert recorded_stacks(content.campaign) == record
+    content = read_campaign(tmp_path)
+    assert content.facts[STACKS] == recorded_stacks(content.facts) == record
     assert {row.stack for row in content.rows} == {this_stack()}
-    table = read_table(tmp_path)
-    assert set(table['stack']) == {this_stack()}
-    assert table.attrs[STACKS] == record
-    (tmp_path / FACTS_NAME).unlink()
-    assert recorded_stacks(read_table(tmp_path).attrs) == record, 'the file alone tells it, too'
+    for table in (read_table(tmp_path), read_table(tmp_path / 'runs.parquet')):
+        assert set(table['stack']) == {this_stack()}
+        assert table.attrs[STACKS] == record
 
 
 def test_provenance_of_a_search_resumed_elsewhere_is_kept_for_each_sitting_and_warned_of(
@@ -96,13 +92,13 @@ def test_provenance_of_several_sittings_is_a_note_of_the_gate(tmp_path, monkeypa
     assert 'note: the runs were made on different machines or versions: processor ' in out
 
 
-def test_provenance_of_each_stage_of_a_study_is_logged_and_compared(tmp_path):
+def test_provenance_of_each_stage_of_a_study_is_logged_and_compared(tmp_path, monkeypatch):
+    monkeypatch.setattr(log_module, 'provenance', lambda: ELSEWHERE)
     with StageLog(tmp_path) as log:
         log.write('begin', 'falsify', identity='i', runs=3, resumed=False)
-        assert log.records['falsify'].stacks == (dict(provenance()),)
+        assert log.records['falsify'].stacks == (ELSEWHERE,)
         assert stack_warning(log.records) == ''
-    path = tmp_path / 'stages.jsonl'
-    rewrite(path, lambda events: events[0]['provenance'].update(numpy='0.1'))
+    monkeypatch.undo()
     with StageLog(tmp_path) as log:
         assert f'numpy 0.1 | {provenance()["numpy"]}' in stack_warning(log.records)
 
