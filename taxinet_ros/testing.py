@@ -98,7 +98,11 @@ def check_perception(word: str) -> None:
         for number, (frame, truth) in enumerate(_sights()):
             found.begin()
             estimate = found.estimate(frame, truth)
-            _check_estimate(complain, number, estimate)
+            complain.unless(
+                not estimate.usable
+                or (abs(estimate.cte_m) <= MOST_CTE_M and abs(estimate.he_rad) <= math.pi),
+                f'answers frame {number} with {estimate}: in metres and radians?',
+            )
         found.begin()
         complain.unless(
             not found.estimate(None, None).usable, 'has an estimate without frame and truth'
@@ -121,7 +125,11 @@ def check_controller(word: str) -> None:
         found = make_controller(word, SteeringGains())
         found.begin()
         for estimate in (*_TRUTHS, *_UNUSABLE):
-            _check_command(complain, estimate, found.command(estimate))
+            command = found.command(estimate)
+            complain.unless(
+                abs(command.steering_rad) <= math.pi / 2 and command.speed_mps <= MOST_SPEED_MPS,
+                f'answers {estimate} with {command}: in radians and m/s?',
+            )
         _check_signs(complain, found)
         complain.unless_alike(_steer, word)
 
@@ -315,14 +323,6 @@ def _sights() -> list[tuple[NDArray[np.uint8], TrackingError]]:
     return sights
 
 
-def _check_estimate(complain: _Complaints, number: int, estimate: TrackingError) -> None:
-    complain.unless(
-        not estimate.usable
-        or (abs(estimate.cte_m) <= MOST_CTE_M and abs(estimate.he_rad) <= math.pi),
-        f'answers frame {number} with {estimate}: in metres and radians?',
-    )
-
-
 def _check_signs(complain: _Complaints, found: Controller) -> None:
     """Check the signs: with swapped ones, every run leaves the runway without any error."""
     for cte_m, he_rad, where in (
@@ -338,13 +338,6 @@ def _check_signs(complain: _Complaints, found: Controller) -> None:
             f'steers by {angles_rad[0]:+.3g} rad, to the left, where it is {where}: positive is '
             'left, for errors and for the nose wheel',
         )
-
-
-def _check_command(complain: _Complaints, estimate: TrackingError, command: TaxiCommand) -> None:
-    complain.unless(
-        abs(command.steering_rad) <= math.pi / 2 and command.speed_mps <= MOST_SPEED_MPS,
-        f'answers {estimate} with {command}: in radians and m/s?',
-    )
 
 
 def _check_point(complain: _Complaints, space: Space, index: int, point: Point) -> None:

@@ -30,8 +30,9 @@ from taxinet_ros.analysis.report.parts import (
 )
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.bag.layout import holds_bag
-from taxinet_ros.campaign.past_runs.localisation import Trial, Trials
+from taxinet_ros.campaign.past_runs.localisation import Trials
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.campaign.past_runs.trials import Trial
 from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING

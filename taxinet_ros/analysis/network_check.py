@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from taxinet_ros.campaign.options import DEFAULT_JUDGING
-from taxinet_ros.campaign.past_runs.localisation import Task, Trial, TrialSetup, run_trials
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene, scenes_of_program
+from taxinet_ros.campaign.past_runs.trials import Task, Trial, TrialSystem, run_trials
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.errors import ExitCode
 
 PROGRAM, SEED, SCENES = 's_falsif', 50, 50
@@ -120,9 +119,9 @@ def check_networks(
     """
     prints = [check_perception(network) for network in networks]
     for network, fingerprint in zip(networks, prints, strict=True):
-        setup = TrialSetup(perception=network, judging=DEFAULT_JUDGING, gains={})
+        system = TrialSystem(perception=network, judging=DEFAULT_JUDGING)
         done: dict[str, Trial] = {}
-        for trial in run_trials(_tasks(scenes, interrupted), setup, workers):
+        for trial in run_trials(_tasks(scenes, interrupted), system, workers):
             done[trial.run_id] = trial
             on_trial()
         if len(done) < len(scenes):
@@ -137,7 +136,4 @@ def _tasks(scenes: Sequence[Scene], interrupted: Callable[[], bool]) -> Iterator
     for scene in scenes:
         if interrupted():
             return
-        yield Task(
-            run_id=scene.row.run_id, scenario=scene.scenario, word=AS_RECORDED,
-            seed=(scene.row.seed, scene.row.index),
-        )
+        yield scene.task()

@@ -33,7 +33,7 @@ from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.campaign.loop_run import campaign_loop
 from taxinet_ros.campaign.loop_worker import loop_worker_command
 from taxinet_ros.campaign.options import DEFAULT_SPECS, LOOP, make_options
-from taxinet_ros.campaign.record.facts import recorded_world
+from taxinet_ros.campaign.record.facts import recorded_system
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.samplers.splitting import RareEstimate
 from taxinet_ros.campaign.search import Search
@@ -215,9 +215,8 @@ def _opened(search: Search) -> Iterator[Cluster | None]:
 def _execute(search: Search, led: Cluster | None) -> None:
     """Execute the runs of an open search on its workers."""
     options, facts = search.options, search.book.facts
-    command = loop_worker_command(campaign_loop(
-        options.campaign, facts['controller_sha256'], recorded_world(facts)[1]
-    ))
+    system = recorded_system(options.campaign, facts)
+    command = loop_worker_command(campaign_loop(options.campaign, system))
     out = options.campaign.out
     pool = WorkerPool(command, options.workers, out / 'logs') if led is None else ClusterPool(
         led, command, out, fingerprint=facts['perception_sha256'],

@@ -36,12 +36,13 @@ from taxinet_ros.campaign.record.table import (
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import DRAFTS
-from taxinet_ros.files.record import RECORD_NAME, Record, read_entry, record_trouble
+from taxinet_ros.files.record import RECORD_NAME, Record, read_entry, read_record, record_trouble
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
 EXPERIMENT_NAME = 'experiment.json'
-_DATASET, _REQUEST = 'dataset.json', 'request.json'
+_DATASET, _PROGRESS = 'dataset.json', 'progress.db'
+_STAGE = 'stage'
 _RESUME = 'the command that made it, with --resume if it has that'
 _DERIVED = ('.html', '.png', '.svg', '.pdf', '.gif', '.mp4', '.xml', '.csv', '.scenic')
 _MOST_NAMED = 6
@@ -141,12 +142,28 @@ def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
 def _check_record(
     folder: Path, found: Examination, on_bag: Callable[[Path], None]
 ) -> None:
-    for path in _files(folder, RECORD_NAME, found):
+    for path in _files(folder, '*.db', found):
         found.count('records', path=path)
         if why := record_trouble(path):
             found.report(path, why, _RESUME)
         elif read_entry(path, FACTS) is not None:
             _check_campaign(folder, found, on_bag)
+        else:
+            _check_stages(folder, read_record(path).get(_STAGE, {}), found)
+
+
+def _check_stages(
+    folder: Path, stages: Mapping[str, Mapping[str, Any]], found: Examination
+) -> None:
+    """Check that the outputs of a study's finished stages exist and are unchanged."""
+    for stage, values in stages.items():
+        for name, digest in values['outputs'].items():
+            output = folder / name
+            found.checked.add(output)
+            if not output.is_file():
+                found.report(output, f'is missing, but was made by stage {stage}', _RESUME)
+            elif file_sha256(output) != digest:
+                found.report(output, f'is not the file made by stage {stage}', _RESUME)
 
 
 def _check_campaign(
@@ -318,7 +335,7 @@ def _check_arms(place: Path, arms: Any, found: Examination) -> None:
 def _check_pictures(place: Path, found: Examination) -> None:
     """Check a dataset's pictures against its labels."""
     if not (place / _LABELS).is_file():
-        if (place / _REQUEST).is_file() and not (place / _DATASET).is_file():
+        if (place / _PROGRESS).is_file() and not (place / _DATASET).is_file():
             found.notes.append(f'{place}: an unfinished dataset; continue with --resume')
         return
     if not (place / _DATASET).is_file():

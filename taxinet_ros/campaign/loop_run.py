@@ -7,7 +7,7 @@ node writes them. A run that breaks names the node that would have failed in the
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +28,7 @@ from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, RunResult, outcome_of
@@ -38,43 +39,22 @@ OnStep = Callable[[int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopOptions:
-    """What runs in a loop, and where its bags go.
+class LoopOptions(System):
+    """A system that runs in a loop, and where its bags go.
 
     Attributes:
-        perception, controller, gains, timing, world: as in :class:`.CampaignOptions`.
-        controller_sha256, world_sha256: recorded hashes of the controller's file and of the
-            package that provides the world, or ''.
         out: folder of the campaign, which exists; None: no bags.
         images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
     """
 
-    perception: str
-    controller: str
-    controller_sha256: str
-    gains: Mapping[str, float]
-    timing: Timing
-    world: str
-    world_sha256: str
     out: Path | None
     images: str
 
 
-def campaign_loop(
-    campaign: CampaignOptions, controller_sha256: str, world_sha256: str
-) -> LoopOptions:
-    """Options of the loops of a campaign.
-
-    Args:
-        campaign: the campaign.
-        controller_sha256: recorded hash of its controller.
-        world_sha256: recorded hash of the package that provides its world, or ''.
-    """
+def campaign_loop(campaign: CampaignOptions, system: System) -> LoopOptions:
+    """Options of the loops of a campaign, with its recorded system."""
     return LoopOptions(
-        perception=campaign.perception, controller=campaign.controller, gains=campaign.gains,
-        controller_sha256=controller_sha256, timing=campaign.timing, world=campaign.world,
-        world_sha256=world_sha256, out=campaign.out if campaign.bags else None,
-        images=campaign.images,
+        **vars(system), out=campaign.out if campaign.bags else None, images=campaign.images
     )
 
 

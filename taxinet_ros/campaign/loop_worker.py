@@ -6,7 +6,6 @@ Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which define
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import os
 import sys
@@ -21,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from taxinet_ros.campaign.audit import Auditor
 from taxinet_ros.campaign.loop_run import Loop, LoopOptions
 from taxinet_ros.campaign.worker_pool import encode_line, request_from_json, result_to_json
-from taxinet_ros.core.pacing.timing import parse_timing
+from taxinet_ros.core.system import system_values
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import module_command
 
@@ -38,10 +37,7 @@ def loop_worker_command(
         audit_percent: share of the runs to audit [%].
         audit_command: command of the graph's worker for audits, see :class:`.Auditor`.
     """
-    values = {
-        **dataclasses.asdict(options), 'timing': options.timing.words,
-        'out': None if options.out is None else str(options.out),
-    }
+    values = {**options.to_json(), 'out': None if options.out is None else str(options.out)}
     return module_command(
         'taxinet_ros.campaign.loop_worker', f'--options={json.dumps(values)}',
         f'--audit-percent={audit_percent}', f'--audit-command={json.dumps(list(audit_command))}',
@@ -68,8 +64,7 @@ def main(words: Sequence[str] | None = None) -> int:
 def _work(arguments: argparse.Namespace) -> None:
     values = json.loads(arguments.options)
     out = None if values['out'] is None else Path(values['out'])
-    timing = parse_timing(values['timing'])
-    loop = Loop(LoopOptions(**{**values, 'out': out, 'timing': timing}))
+    loop = Loop(LoopOptions(**{**system_values(values), 'out': out}))
     told_s = time.monotonic()
 
     def say(**message: Any) -> None:

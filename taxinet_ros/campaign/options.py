@@ -52,6 +52,7 @@ from taxinet_ros.core.scenario_fields import (
     TRAFFIC,
     by_key,
 )
+from taxinet_ros.core.system import System
 from taxinet_ros.core.user_code import is_node_elsewhere, short_word
 from taxinet_ros.core.verdict.judge import SpecCheck, check_others, check_specs, reads_others
 from taxinet_ros.core.verdict.judging import Judging, StopOn, parse_stop_on
@@ -249,6 +250,19 @@ class CampaignOptions:
         strange += network_doubts(self.perception, chain((first,), more))
         return dataclasses.replace(
             found, warnings=(*found.warnings, *doubts, *unseen, *strange, *told)
+        )
+
+    def system(self, controller_sha256: str, world_sha256: str) -> System:
+        """What drives in its runs.
+
+        Args:
+            controller_sha256: recorded hash of its controller.
+            world_sha256: recorded hash of the package that provides its world, or ''.
+        """
+        return System(
+            perception=self.perception, controller=self.controller, gains=self.gains,
+            controller_sha256=controller_sha256, timing=self.timing, world=self.world,
+            world_sha256=world_sha256,
         )
 
     @property

@@ -19,11 +19,11 @@ from typer.core import TyperCommand
 from taxinet_ros.errors import UsageError
 
 RECORD_NAMES = frozenset({
-    'campaign.db', 'runs.csv', 'runs.parquet', 'learned.json',
+    'campaign.db', 'progress.db', 'runs.csv', 'runs.parquet', 'learned.json',
     'metadata.yaml', 'stack.json', 'experiment.json',
     'pairs.parquet', 'analysis.json', 'localize.json', 'localize.parquet', 'localize.csv',
-    'assurance.json', 'trials.csv', 'alarms.csv', 'study.json', 'improve.json', 'dataset.json',
-    'request.json', 'labels.csv', 'labels.parquet', 'evidence.json', 'MANIFEST',
+    'assurance.json', 'trials.csv', 'alarms.csv', 'rounds.json', 'dataset.json', 'labels.csv',
+    'labels.parquet', 'evidence.json', 'MANIFEST',
 })
 """Names of files in which campaigns, experiments, studies, data sets and bags are recorded."""
 

@@ -40,7 +40,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         ),
     },
     'Find the causes': {
-        'why': ('study.commands:why', 'Find out why a campaign or a run failed, and what to do.'),
+        'why': ('study.why:why', 'Find out why a campaign or a run failed, and what to do.'),
         'analyze': (
             'analysis.commands:analyze',
             "Find the causes of a campaign's failures, and write a report.",
@@ -109,7 +109,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'Networks of others: convert them, and see what they see.',
         ),
         'improve': (
-            'study.commands:improve',
+            'study.improve:improve',
             'Improve a network in rounds: falsify, cluster failures, retrain, evaluate, keep if '
             'better.',
         ),
@@ -119,7 +119,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'scenes.',
         ),
         'case-study': (
-            'study.commands:case_study',
+            'study.case_study:case_study',
             "Run the paper's case study: falsify, debug, retrain, learn, report.",
         ),
     },

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import itertools
 import math
 import os
 import sys
@@ -25,6 +26,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import row_line
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
+from taxinet_ros.processes.interrupts import interrupts
 
 _PAGE_WIDTH = 100
 HEARTBEAT = 'TAXINET_HEARTBEAT_S'
@@ -79,6 +81,21 @@ def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
             progress.update(bars[stage], completed=done)
 
         yield show
+
+
+@contextlib.contextmanager
+def trial_bar(
+    console: Console, stage: str, total: int
+) -> Iterator[tuple[Callable[[], None], Callable[[], bool]]]:
+    """Return a function to call after each trial, and whether Ctrl-C has asked to start no more."""
+    asked: list[bool] = []
+    done = itertools.count(1)
+    with stage_bars(console) as show, interrupts(lambda: asked.append(True)):
+        def count() -> None:
+            number = next(done)
+            show(stage, number, max(total, number))
+
+        yield count, lambda: bool(asked)
 
 
 class Heartbeat:

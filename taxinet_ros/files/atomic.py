@@ -9,8 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from taxinet_ros.errors import RecordError
-
 T = TypeVar('T')
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
@@ -39,22 +37,8 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-STUDY_OUT = 'TAXINET_STUDY_OUT'
-"""Environment variable by which a study tells its stages its folder."""
-
-
 def make_folder(folder: Path) -> None:
-    """Create a folder for results, with its parents, unless it exists.
-
-    A study's folder that was moved away is not made anew by one of its stages.
-
-    Raises:
-        RecordError: the study's folder is gone.
-        OSError: it cannot be created.
-    """
-    study = os.environ.get(STUDY_OUT)
-    if study and folder.absolute().is_relative_to(study) and not Path(study).is_dir():
-        raise RecordError(f'{study}: was moved or deleted, so nothing is written there')
+    """Create a folder for results, with its parents, unless it exists."""
     folder.mkdir(parents=True, exist_ok=True)
 
 

@@ -30,7 +30,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import header, robustness_message
-from taxinet_ros.nodes.messages.step import StepCollector, StepMessage
+from taxinet_ros.nodes.messages.step import FreeProgress, StepCollector, StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
     Usage,
@@ -84,9 +84,8 @@ class MtlMonitor(Participant):
         self._clearance = Clearance(scene)
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False
-        heard = interface.ODOMETRY, interface.TRUTH, interface.TIMING
-        self._arrived = {topic.name: -1 for topic in heard}
-        self._told_free = (-1, -1)
+        followed = interface.ODOMETRY, interface.TRUTH, interface.TIMING
+        self._free_progress = FreeProgress(followed)
         self._judged = 0
         self._command = rolling_on(scene.speed_mps)
         self._readings = ()
@@ -110,9 +109,7 @@ class MtlMonitor(Participant):
         whole = self._steps.add(topic, seq, said)
         for step, messages in whole:
             self._judge_step(step, messages)
-        if topic in self._arrived:
-            self._arrived[topic] = seq
-        if whole or topic in self._arrived:
+        if self._free_progress.arrived(topic, seq) or whole:
             self._report_free()
 
     def _settle(self, timing: Timing) -> None:
@@ -120,19 +117,14 @@ class MtlMonitor(Participant):
         if timing.run_id != self.run_id or timing.ended:
             return
         self._free = True
-        for topic, frames in (
-            (interface.ESTIMATE, timing.unestimated), (interface.COMMAND, timing.uncommanded),
-        ):
-            for frame in frames:
-                for step, messages in self._steps.excuse(topic.name, frame):
-                    self._judge_step(step, messages)
-        self._arrived[interface.TIMING.name] = timing.seq
+        for step, messages in self._steps.settle(timing):
+            self._judge_step(step, messages)
+        self._free_progress.arrived(interface.TIMING.name, timing.seq)
         self._report_free()
 
     def _report_free(self) -> None:
-        now = self._judged, max(min(self._arrived.values()), 0)
-        if self._free and now != self._told_free:
-            self._told_free = now
+        now = self._free_progress.news(self._judged) if self._free else None
+        if now is not None:
             self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:

@@ -22,16 +22,15 @@ from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
 
-from taxinet_ros.bag.cdr.alignment import Canonical, stamp_of_cdr
+from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.layout import mcap_path, run_folder
-from taxinet_ros.bag.run.message_values import scenario_json, scenario_of
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.run_bag import (
     OUTCOME_METADATA,
     bag_name,
-    bag_topics,
-    commit_words,
+    canonical_bytes,
+    open_run_bag,
     outcome_words,
-    run_words,
 )
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
@@ -52,7 +51,7 @@ from taxinet_ros.nodes.lockstep.endpoints import publisher_names
 from taxinet_ros.nodes.lockstep.late_frames import LateFrames
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import account_of, lost_run_status
-from taxinet_ros.nodes.messages.step import Step, StepCollector
+from taxinet_ros.nodes.messages.step import FreeProgress, Step, StepCollector
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
     Parameter,
@@ -122,11 +121,10 @@ class Recorder(Participant):
         self._make_out = given['make_out']
         self._images = images = given['images']
         self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
-        self._topics = bag_topics(images == 'all')
         self._stepped = tuple(
             topic for topic in _STEPPED if images == 'all' or topic is not interface.IMAGE
         )
-        self._canonical = Canonical(self._topics)
+        self._canonical = canonical_bytes(images == 'all')
         self._transform_of = OdometryTransforms()
         self._writer: BagWriter | None = None
         self._ended: RunStatus | None = None
@@ -161,17 +159,10 @@ class Recorder(Participant):
         self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
-        self._writer = BagWriter(
-            run_folder(self._out, scenario.run_id),
-            self._topics,
-            metadata=run_words(scenario),
-            attachments={
-                'scenario.json': scenario_json(scenario),
-                **program_attachment(scenario.program, self._out),
-            },
-            min_free_bytes=self._min_free,
-            beside=commit_words(),
-            make_parents=self._make_out,
+        self._writer = open_run_bag(
+            run_folder(self._out, scenario.run_id), scenario, images=self._images == 'all',
+            attachments=program_attachment(scenario.program, self._out),
+            min_free_bytes=self._min_free, make_parents=self._make_out,
         )
 
     def clear(self) -> None:
@@ -180,11 +171,10 @@ class Recorder(Participant):
         self._held: list[Step] = []
         self._verdict: bytes | None = None
         self._account: FreeRunAccount | None = None
-        self._arrived = {
-            topic.name: -1 for topic in (*self._stepped, interface.TIMING)
+        self._free_progress = FreeProgress(
+            topic for topic in (*self._stepped, interface.TIMING)
             if topic.publishers == (interface.SIMULATOR,)
-        }
-        self._told_free = (-1, -1)
+        )
 
     def figures(self) -> dict[str, object]:
         """See :class:`Participant`: figures of the current bag and the disk."""
@@ -258,8 +248,7 @@ class Recorder(Participant):
         if whole:
             self._held += whole
             self._write_steps()
-        if topic.name in self._arrived:
-            self._arrived[topic.name] = seq
+        if self._free_progress.arrived(topic.name, seq):
             self._report_free()
 
     def _on_timing(self, timing: Timing) -> None:
@@ -270,19 +259,14 @@ class Recorder(Participant):
             self._account = account_of(timing)
             self._finish_if_whole()
             return
-        for topic, frames in (
-            (interface.ESTIMATE, timing.unestimated), (interface.COMMAND, timing.uncommanded),
-        ):
-            for frame in frames:
-                self._held += self._steps.excuse(topic.name, frame)
-        self._arrived[interface.TIMING.name] = timing.seq
+        self._held += self._steps.settle(timing)
+        self._free_progress.arrived(interface.TIMING.name, timing.seq)
         self._write_steps()
         self._report_free()
 
     def _report_free(self) -> None:
-        now = max(self._written - 1, 0), max(min(self._arrived.values()), 0)
-        if self._free and now != self._told_free:
-            self._told_free = now
+        now = self._free_progress.news(self._written - 1) if self._free else None
+        if now is not None:
             self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
 
     def _on_status(self, cdr: bytes) -> None:
@@ -309,9 +293,7 @@ class Recorder(Participant):
             self._finish_if_whole()
 
     def _on_run_status(self, cdr: bytes) -> None:
-        status = deserialize_message(cdr, RunStatus)
-        if status.state == RunStatus.ENDED:
-            self._end(status, cdr)
+        self._end(deserialize_message(cdr, RunStatus), cdr)
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
@@ -319,10 +301,10 @@ class Recorder(Participant):
             self._end(status, serialize_message(status))
 
     def _end(self, status: RunStatus, cdr: bytes) -> None:
-        if self._writer is None or status.run_id != self.run_id:
-            return
-        self._ended, self._ended_cdr = status, cdr
-        self._finish_if_whole()
+        of_this_run = self._writer is not None and status.run_id == self.run_id
+        if of_this_run and status.state == RunStatus.ENDED:
+            self._ended, self._ended_cdr = status, cdr
+            self._finish_if_whole()
 
     # Writing ---------------------------------------------------------------------------------
 
@@ -388,7 +370,8 @@ class Recorder(Participant):
         if self._ended is None:
             return
         judged = Outcome(self._ended.outcome).judged
-        if judged and not self._told:
+        one_time = self._verdict is not None and (not self._free or self._account is not None)
+        if judged and not one_time:
             return
         last_seq = self._ended.seq if self._stop_on is not StopOn.NEVER else self._last_seq
         if judged and not self._written == last_seq + 1 == self._ended.seq + 1:
@@ -404,26 +387,18 @@ class Recorder(Participant):
         self._write(interface.RUN_STATUS, self._ended_cdr, stamp_ns)
         writer = self._writer
         assert writer is not None
-        self._add_ending(writer, self._ended)
+        writer.add_metadata(OUTCOME_METADATA, outcome_words(self._ended, self._written))
+        if self._account is not None:
+            writer.add_metadata(FREE_RUN_METADATA, {
+                **self._account.to_words(),
+                **{name: f'{x:g}' for name, x in self._account.figures().items()},
+            })
         writer.close()
         self._writer = None
         if self._images == 'failures' and self._ended.outcome in _FAILURES:
             self._late_frames.begin(writer.folder, self._min_free)
         else:
             self._done()
-
-    def _add_ending(self, writer: BagWriter, ended: RunStatus) -> None:
-        writer.add_metadata(OUTCOME_METADATA, outcome_words(ended, self._written))
-        if self._account is not None:
-            writer.add_metadata(FREE_RUN_METADATA, {
-                **self._account.to_words(),
-                **{name: f'{x:g}' for name, x in self._account.figures().items()},
-            })
-
-    @property
-    def _told(self) -> bool:
-        """Whether all one-time messages of a judged run are present."""
-        return self._verdict is not None and (not self._free or self._account is not None)
 
     def _done(self) -> None:
         """Report that the bag is complete on disk, with the recorded end of the run."""
@@ -448,19 +423,15 @@ class Recorder(Participant):
         else:
             self._done()
 
-    @property
-    def _whole(self) -> int:
-        """Number of steps written."""
-        return self._written + len(self._held)
-
     def _is_rest_under_way(self) -> bool:
         """Whether messages from before the end of an aborted run may still be missing.
 
         They arrive on other topics than the end message, which may overtake them.
         """
         assert self._ended is not None
-        begun = self._whole or self._steps.torn() or self._ended.seq > 0
-        if not begun or self._whole > self._ended.seq:
+        whole = self._written + len(self._held)
+        begun = whole or self._steps.torn() or self._ended.seq > 0
+        if not begun or whole > self._ended.seq:
             return False
         # In a free run, unanswered steps never become complete.
         patient = self._ended.outcome == Outcome.INTERRUPTED and not self._free

@@ -193,16 +193,13 @@ class StandaloneSampler(ScenarioSampler):
     def _on_death_notice(self, notice: NodeStatus) -> None:
         """The supervisor of the simulator's process reports its death at once."""
         dead = (notice.state, notice.node) == (NodeStatus.DIED, interface.SIMULATOR)
-        if dead and self._is_at(notice.run_id):
+        if dead and self._request is not None and self._request.run_id == notice.run_id:
             self.report_death(notice.node, notice.detail)
 
     def _on_status(self, status: NodeStatus) -> None:
         # A replay's has no folder.
         if (status.state, status.node) == (NodeStatus.READY, interface.RECORDER) and status.detail:
             self.bags = status.detail
-
-    def _is_at(self, run_id: str) -> bool:
-        return self._request is not None and self._request.run_id == run_id
 
     def _in_graph(self) -> list[str]:
         nodes = self.get_node_names_and_namespaces()

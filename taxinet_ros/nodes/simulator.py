@@ -46,11 +46,13 @@ from taxinet_ros.nodes.lockstep.active_run import (
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health
 from taxinet_ros.nodes.lockstep.endpoints import (
+    brief_intruder,
     has_its_publishers,
     heard_by,
     hears,
     intruder,
     missing_nodes,
+    second_publisher_events,
     why_silent,
 )
 from taxinet_ros.nodes.messages.convert import (
@@ -177,7 +179,8 @@ class Simulator(Node):
         ):
             hear = functools.partial(self._hear, step_reader(topic), callback)
             self._listeners[topic.name] = self.create_subscription(
-                topic.type, topic.name, hear, topic.end_qos, raw=is_read_raw(topic)
+                topic.type, topic.name, hear, topic.end_qos, raw=is_read_raw(topic),
+                event_callbacks=second_publisher_events(topic, self._on_second_publisher),
             )
         self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
@@ -392,13 +395,12 @@ class Simulator(Node):
             if not heard_by(self, publisher, run.listeners(name))
         ]
         return unheard + [
-            topic.name for topic in interface.TOPICS if not self._has_publishers(run, topic)
+            topic.name for topic in interface.TOPICS if not (
+                hears(self, self._listeners[topic.name], topic, run.participants)
+                if topic.name in self._listeners
+                else has_its_publishers(self, topic, run.participants)
+            )
         ]
-
-    def _has_publishers(self, run: ActiveRun, topic: Topic) -> bool:
-        if (listener := self._listeners.get(topic.name)) is not None:
-            return hears(self, listener, topic, run.participants)
-        return has_its_publishers(self, topic, run.participants)
 
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
@@ -517,9 +519,7 @@ class Simulator(Node):
     def _diagnose(self) -> Health:
         """Health of this node, for diagnostics."""
         run = self._run
-        if run is None:
-            return self._health.look(None, '')
-        return self._health.look(run, ', '.join(self._awaited(run)))
+        return self._health.look(run, ', '.join(self._awaited(run)) if run is not None else '')
 
     def _awaited(self, run: ActiveRun) -> list[str]:
         """Names of the nodes that a run waits for; in a free run, those overdue."""
@@ -547,12 +547,14 @@ class Simulator(Node):
             self._attempt(run, lambda: self._await_ready(run))
         else:
             self._watch_steps(run, now, silence)
-            self._watch_publishers(run)
+            changed = run.ending is None and self._count_publishers() != run.publishers
+            if changed and (found := self._intruder(run)) is not None:
+                self._fail(run, InfraKind.INTRUDER, *found)
 
-    def _watch_publishers(self, run: ActiveRun) -> None:
-        changed = run.ending is None and self._count_publishers() != run.publishers
-        if changed and (found := self._intruder(run)) is not None:
-            self._fail(run, InfraKind.INTRUDER, *found)
+    def _on_second_publisher(self, topic: Topic) -> None:
+        run = self._run
+        if run is not None and run.started and run.ending is None:
+            self._fail(run, InfraKind.INTRUDER, *brief_intruder(self, topic, run.participants))
 
     def _watch_steps(self, run: ActiveRun, now: float, silence: float) -> None:
         if run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:

@@ -136,6 +136,11 @@ def interrupted_exit_code(code: int) -> int:
     return 128 + newest if code == ExitCode.INTERRUPTED else code
 
 
+def interrupts_received() -> int:
+    """Number of interrupts that this process has received."""
+    return len(_received)
+
+
 def _note(number: int) -> None:
     _received.append(number)
     if number == signal.SIGHUP:  # what is printed to a closed terminal would be an error

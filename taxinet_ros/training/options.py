@@ -12,8 +12,8 @@ from pathlib import Path
 from taxinet_ros.core.perception.weights import SUFFIX, Source, card_path
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import SAMPLERS
-from taxinet_ros.training.data.dataset_folder import REQUEST
 from taxinet_ros.training.data.portions import Portion
+from taxinet_ros.training.data.unfinished import is_begun
 from taxinet_ros.version import __version__
 
 _LIMITS: dict[str, tuple[float, float]] = {
@@ -28,7 +28,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
 }
 _WITHOUT_EFFECT = ('out', 'workers', 'overwrite', 'resume')
 """Options on which the weights do not depend."""
-_KEPT = ('.json', '.jsonl', '.pt')
+_KEPT = ('.db', '.db-journal', '.pt')
 """Suffixes of the files of an unfinished training."""
 
 
@@ -147,8 +147,8 @@ class TrainOptions:
 
     @property
     def interrupted(self) -> bool:
-        """Whether there is a training to go on with; a folder without its request is none."""
-        return (self.unfinished / REQUEST).is_file()
+        """Whether there is a training to go on with; a folder without its record is none."""
+        return is_begun(self.unfinished)
 
     def request(self, sources: Sequence[Source], start: str) -> dict[str, str]:
         """All that the weights depend on, by name.

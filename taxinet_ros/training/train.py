@@ -28,7 +28,6 @@ from taxinet_ros.core.perception.weights import (
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
-from taxinet_ros.files.journal import Journal
 from taxinet_ros.training.accuracy import history_csv
 from taxinet_ros.training.data.dataset import (
     Dataset,
@@ -37,9 +36,9 @@ from taxinet_ros.training.data.dataset import (
     make_dataset,
     no_progress,
 )
-from taxinet_ros.training.data.dataset_folder import begin_request, check_request
 from taxinet_ros.training.data.image_folder import folders_domain, load_folders
 from taxinet_ros.training.data.portions import portion_seed, program_source
+from taxinet_ros.training.data.unfinished import Unfinished
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.version import __version__
 
@@ -73,14 +72,14 @@ class TrainingData:
 
 def get_training_data(
     options: TrainOptions, progress: Progress,
-    begin: Callable[[Sequence[Source]], Journal | None] = lambda sources: None,
+    begin: Callable[[Sequence[Source]], Unfinished | None] = lambda sources: None,
 ) -> TrainingData:
     """Render or read the pictures requested by the options.
 
     Args:
         options: options of the training.
         progress: as in :func:`train`.
-        begin: called with the origins of the pictures; returns the file to record rendered ones in.
+        begin: called with the origins of the pictures; returns the record to keep rendered ones in.
 
     Raises:
         UsageError: a program, campaign or folder cannot be used, or has too few pictures.
@@ -103,18 +102,19 @@ class _SceneGroup:
 
 def _render_scenes(
     options: TrainOptions, program: str, progress: Progress,
-    begin: Callable[[Sequence[Source]], Journal | None],
+    begin: Callable[[Sequence[Source]], Unfinished | None],
 ) -> TrainingData:
     other = options.validation_program
     sources = (program_source(program), *(portion.source() for portion in options.add))
     validation_data = () if other is None else (program_source(other),)
     # The program's own groups come first, so that additions do not change their pictures.
     lots = [*_program_scenes(options, program, progress), *_added_scenes(options, progress)]
-    journal = begin((*sources, *validation_data))  # only now: a bad program leaves nothing behind
+    # Only now: a bad program leaves nothing behind.
+    unfinished = begin((*sources, *validation_data))
     dataset = make_dataset(
         list(itertools.chain.from_iterable(lot.scenes for lot in lots)),
         workers=options.workers, varied=options.varied, seed=options.seed, progress=progress,
-        stage=IMAGES, journal=journal,
+        stage=IMAGES, unfinished=unfinished,
     )
     held_back = np.repeat([lot.held_back for lot in lots], [len(lot.scenes) for lot in lots])
     return TrainingData(
@@ -213,7 +213,7 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     options.check_out()
     start = None if options.start is None else load_model(weights_path(options.start))
     with contextlib.ExitStack() as opened:
-        def begin(sources: Sequence[Source]) -> Journal:
+        def begin(sources: Sequence[Source]) -> Unfinished:
             request = options.request(sources, '' if start is None else start.fingerprint)
             return opened.enter_context(_pictures_so_far(options, request))
 
@@ -225,19 +225,14 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
 
 
 @contextlib.contextmanager
-def _pictures_so_far(options: TrainOptions, request: Mapping[str, Any]) -> Iterator[Journal]:
-    """The open file of rendered pictures; write errors within say how to go on."""
+def _pictures_so_far(options: TrainOptions, request: Mapping[str, Any]) -> Iterator[Unfinished]:
+    """The open record of rendered pictures; write errors within say how to go on."""
     folder = options.unfinished
-    if options.resume:
-        check_request('train', folder, request)
-    else:
+    if not options.resume:
         shutil.rmtree(folder, ignore_errors=True)
-        begin_request('train', folder, request)
     try:
-        with contextlib.closing(Journal(folder / 'pictures.jsonl')) as pictures:
+        with Unfinished('train', folder, request, resume=options.resume) as pictures:
             yield pictures
-    except BlockingIOError as error:
-        raise UsageError(f'train: {folder}: another training writes to it') from error
     except OSError as error:
         raise RecordError(
             f'train: {error.filename or folder}: {disk_words(error)}; mend that, then go on with '

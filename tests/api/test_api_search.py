@@ -7,6 +7,7 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.options import make_options
+from taxinet_ros.campaign.record.facts import recorded_system
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import make_search_options
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
@@ -39,7 +40,9 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
         budget_min=None,
     )
     with Search(options, PARTICIPANTS) as graphs:
-        command = worker_command(campaign_graph(campaign, graphs.book.facts['controller_sha256']))
+        command = worker_command(campaign_graph(
+            campaign, recorded_system(campaign, graphs.book.facts)
+        ))
         with WorkerPool(command, 1, campaign.out / 'logs') as pool:
             run_search(graphs, pool)
     assert exit_code(graphs.rows) in (0, 1)

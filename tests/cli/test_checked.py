@@ -17,20 +17,16 @@ from taxinet_ros.analysis.campaign import folder as analysis_folder
 from taxinet_ros.bag import layout
 from taxinet_ros.bag.check import compare
 from taxinet_ros.campaign import experiment, learned_result
-from taxinet_ros.campaign.past_runs import localisation
 from taxinet_ros.campaign.record import table
 from taxinet_ros.cli.checked import RECORD_NAMES, check_output, outputs
 from taxinet_ros.cli.main import _exit_code, app
+from taxinet_ros.cli.study import improve
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.assurance import judge
 from taxinet_ros.extras.evidence import evidence
-from taxinet_ros.extras.tune import tuning
-from taxinet_ros.files import record
+from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.study.improve import loop
-from taxinet_ros.study.improve import options as improve_options
-from taxinet_ros.study.stages import config, log
-from taxinet_ros.training.data import dataset_folder, image_folder
+from taxinet_ros.training.data import dataset_folder, image_folder, unfinished
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')
@@ -81,9 +77,9 @@ def campaign(tmp_path, monkeypatch):
     shutil.copytree(BAGS / 'learn-ce-2', 'c')
     run = tmp_path / 'c' / 'run'
     shutil.copytree(BAG, run)
-    (tmp_path / 'c' / 'journal-of-may').write_text('{"sum":"00","event":"campaign"}\n')
+    with Record(tmp_path / 'c' / 'record-of-may') as record:
+        record.put('facts', '', {})
     write_sealed(tmp_path / 'c' / 'forecast', {'a': 1})
-    record.Record(tmp_path / 'c' / 'record-of-may').close()
     return tmp_path / 'c'
 
 
@@ -104,16 +100,15 @@ def test_given_all_commands_then_the_options_that_write_a_file_are_known_and_che
 
 def test_given_the_names_of_records_then_all_are_known():
     names = {
-        record.RECORD_NAME, table.CSV_NAME, table.PARQUET_NAME,
-        layout.METADATA_FILE, compare.STACK_FILE,
-        learned_result.LEARNED_NAME, localisation.TRIALS_NAME, tuning.TRIALS_NAME,
+        RECORD_NAME, unfinished.NAME, table.CSV_NAME, table.PARQUET_NAME,
+        layout.METADATA_FILE, compare.STACK_FILE, learned_result.LEARNED_NAME,
         experiment.PAIRS_NAME, experiment.JSON_NAME, analysis_folder.JSON_NAME,
         fault_localisation.CSV_NAME, fault_localisation.PARQUET_NAME,
-        fault_localisation.JSON_NAME, judge.SCENES_NAME, judge.TRIALS_NAME, judge.ALARMS_NAME,
+        fault_localisation.JSON_NAME, judge.TRIALS_NAME, judge.ALARMS_NAME,
         judge.RESULT_NAME,
-        config.STUDY_NAME, log.LOG_NAME, improve_options.FACTS_NAME, loop.ROUNDS_NAME,
+        improve.ROUNDS_NAME,
         evidence.JSON_NAME, evidence.MANIFEST_NAME, dataset_folder.LABELS, dataset_folder.FACTS,
-        dataset_folder.REQUEST, image_folder.FOREIGN_LABELS,
+        image_folder.FOREIGN_LABELS,
     }
     assert names == RECORD_NAMES
 
@@ -128,14 +123,14 @@ LOG = ('check-node', 'true', '--log')
 @pytest.mark.ros
 @pytest.mark.parametrize('words', [GATE, MONITOR, FORECAST, EXPORT, LOG])
 @pytest.mark.parametrize('name', [
-    'campaign.db', 'runs.csv', 'runs.parquet', 'learned.json', 'journal-of-may', 'record-of-may',
+    'campaign.db', 'runs.csv', 'runs.parquet', 'learned.json', 'record-of-may',
     'forecast', 'run/metadata.yaml', 'run/truth-nominal.mcap', 'run/new.mcap',
-    '../link-to-the-journal',
+    '../link-to-the-record',
 ])
 def test_given_a_record_in_the_place_of_an_output_then_it_is_refused_and_nothing_changes(
     campaign, words, name, capsys
 ):
-    (campaign.parent / 'link-to-the-journal').symlink_to('c/journal-of-may')
+    (campaign.parent / 'link-to-the-record').symlink_to('c/record-of-may')
     mcap = next((campaign / 'run').glob('*.mcap'))
     name = name.replace('truth-nominal.mcap', mcap.name)
     before = digests(campaign.parent)

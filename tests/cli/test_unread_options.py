@@ -29,9 +29,10 @@ UNREAD = [
     (('check-node', '--external', '--log', 'node.log'), '--log: the output of a node that you'),
     ((*RESUMED, '--rounds', '3'), '--rounds: is taken from the folder that --resume continues'),
     ((*RESUMED, 's_falsif'), 'program: is taken from the folder that --resume continues'),
-    ((*REPORT, '--runs', '3'), '--report-only: runs nothing; leave --runs out'),
-    ((*REPORT, '--list'), '--report-only: runs nothing; leave --list out'),
-    (('case-study', '--tables', '.', '--workers', '2'), '--tables .: runs nothing; leave --wor'),
+    ((*REPORT, '--runs', '3'), '--runs: has no effect with --report-only'),
+    ((*REPORT, '--list'), '--list: has no effect with --report-only'),
+    (('case-study', '--tables', '.', '--resume'), '--resume: has no effect with --tables'),
+    (('case-study', '--tables', '.', '--workers', '2'), '--workers: has no effect with --tables'),
 ]
 
 

@@ -5,14 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.errors import RecordError
-from taxinet_ros.files.atomic import (
-    STUDY_OUT,
-    draft_path,
-    make_atomically,
-    make_folder,
-    write_atomically,
-)
+from taxinet_ros.files.atomic import draft_path, make_atomically, write_atomically
 
 
 def test_given_text_or_bytes_when_written_then_that_alone_is_there(tmp_path: Path) -> None:
@@ -47,17 +40,3 @@ def test_given_no_folder_then_the_error_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError) as caught:
         write_atomically(path, 'text')
     assert caught.value.filename == str(path)
-
-
-def test_given_a_studys_folder_that_was_moved_then_a_stage_does_not_make_it_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    study = tmp_path / 'study'
-    make_folder(study / 'first')
-    monkeypatch.setenv(STUDY_OUT, str(study))
-    make_folder(study / 'second' / 'inner')
-    study.rename(tmp_path / 'moved')
-    with pytest.raises(RecordError, match=r'study: was moved or deleted'):
-        make_folder(study / 'third')
-    make_folder(tmp_path / 'elsewhere')
-    assert sorted(path.name for path in tmp_path.iterdir()) == ['elsewhere', 'moved']

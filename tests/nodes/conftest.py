@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from graph_runs import judged_in, request
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest
-from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
 STEPS = 21
@@ -22,17 +21,13 @@ def short_request() -> RunRequest:
     scene = scenario_from_human({
         'cross_track': 3.0, 'heading': 5, 'distance': 600, 'time_of_day': 10, 'duration': 2,
     })
-    return RunRequest(
-        run_id='played', index=0, program='test', seed=1, scenario=scene,
-        judging=Judging(specs=('phi_always',)), participants=interface.PARTICIPANTS,
-    )
+    return request('played', scenario=scene, seed=1)
 
 
 @pytest.fixture(scope='session')
 def bag(tmp_path_factory, short_request) -> Path:
     """Its bag, camera frames included."""
     out = tmp_path_factory.mktemp('played')
-    with composed_graph(GraphOptions(perception='taxinet', out=out)) as graph:
-        graph.run([short_request], lambda request, result: result.outcome.judged)
+    judged_in(composed_graph(GraphOptions(perception='taxinet', out=out)), short_request)
     assert read_info(out / 'played').counts['/camera/image_raw'] == STEPS
     return out / 'played'

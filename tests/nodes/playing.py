@@ -6,14 +6,12 @@ import contextlib
 from pathlib import Path
 
 import rclpy
+from graph_runs import on_own_domain
 from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
 
 
 class Listener(rclpy.node.Node):
@@ -33,26 +31,11 @@ class Listener(rclpy.node.Node):
 @contextlib.contextmanager
 def listening(*topics: interface.Topic, **renamed: interface.Topic):
     """A listener, an executor that spins it, and its context on a domain of its own."""
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        executor = EventsExecutor(context=context)
+    with on_own_domain() as spinning:
         names = {topic.name: topic for topic in topics} | renamed
-        listener = Listener(names, context=context)
-        executor.add_node(listener)
-        try:
-            yield listener, executor, context
-        finally:
-            leave_graph(listener)
-            executor.shutdown()
-            rclpy.try_shutdown(context=context)
-
-
-def spin(executor, until) -> None:
-    """Spin until something holds."""
-    future = rclpy.task.Future(executor=executor)
-    while not until():
-        executor.spin_until_future_complete(future, timeout_sec=0.05)
+        listener = Listener(names, context=spinning.context)
+        spinning.add(listener)
+        yield listener, spinning.executor, spinning.context
 
 
 def make_player(context: Context, bag: Path | str, **parameters) -> BagPlayer:

@@ -1,31 +1,27 @@
 """SROS2 policies out of what running nodes say of themselves; as a script it writes the files.
 
-``python tests/nodes/sros2_policies.py`` writes ``docs/sros2/policies`` anew. The form is that of
-policy version 0.2.0, https://design.ros2.org/articles/ros2_access_control_policies.html with the
-enclaves of https://design.ros2.org/articles/ros2_security_enclaves.html.
+``PYTHONPATH=tests python tests/nodes/sros2_policies.py`` writes ``docs/sros2/policies`` anew. The
+form is that of policy version 0.2.0,
+https://design.ros2.org/articles/ros2_access_control_policies.html with the enclaves of
+https://design.ros2.org/articles/ros2_security_enclaves.html.
 """
 
 from __future__ import annotations
 
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import rclpy
+from graph_runs import class_of, judged_in, on_own_domain, request
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import RunRequest
+from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, SIMULATOR
-from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
 
 FOLDER = Path(__file__).parents[2] / 'docs' / 'sros2' / 'policies'
 ENCLAVES = '/taxinet'
@@ -56,40 +52,21 @@ def interfaces(bag: Path, folder: Path) -> dict[str, tuple[str, Interface]]:
         folder: where the recorder would write.
     """
     found = {}
-    with own_domain() as domain:
-        for executable, (build, parameters) in _nodes(bag, folder).items():
-            with _running(build, parameters, domain) as node:
-                found[executable] = node.get_name(), interface_of(node)
-    return found
-
-
-def _nodes(bag: Path, folder: Path) -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
-    from taxinet_ros.nodes.bag_player import BagPlayer
-    from taxinet_ros.nodes.foxglove_server import FoxgloveServer
-    from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
-    from taxinet_ros.nodes.mtl_monitor import MtlMonitor
-    from taxinet_ros.nodes.recorder import Recorder
-    from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
-    from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
-    from taxinet_ros.nodes.scene_markers import SceneMarkers
-    from taxinet_ros.nodes.simulator import Simulator
-    from taxinet_ros.nodes.steering_controller import SteeringController
-    from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
-
-    return {
-        'simulator': (Simulator, {}),
-        'taxinet_perception': (TaxinetPerception, {}),
-        'ground_truth_perception': (GroundTruthPerception, {}),
-        'steering_controller': (SteeringController, {}),
-        'mtl_monitor': (MtlMonitor, {}),
-        'recorder': (Recorder, {'out': str(folder)}),
-        'runtime_monitor': (RuntimeMonitor, {}),
-        'scenario_sampler': (StandaloneSampler, {'program': 'nominal', 'out': f'{folder}/new'}),
-        'scene_markers': (SceneMarkers, {}),
-        'foxglove_server': (FoxgloveServer, {'port': 0}),
-        'bag_player': (BagPlayer, {'bag': str(bag)}),
-        SUPERVISOR: (_supervisor, {}),
+    given = {
+        'recorder': {'out': str(folder)}, 'foxglove_server': {'port': 0},
+        'scenario_sampler': {'program': 'nominal', 'out': f'{folder}/new'},
+        'bag_player': {'bag': str(bag)},
     }
+    for executable in (*NODES, SUPERVISOR):
+        build = _supervisor if executable == SUPERVISOR else class_of(executable)
+        with on_own_domain() as spinning:
+            overrides = [Parameter(name, value=x) for name, x in given.get(executable, {}).items()]
+            node = build(context=spinning.context, parameter_overrides=overrides)
+            spinning.add(node)
+            if hasattr(node, '_join'):
+                node._join()  # an onlooker subscribes when a run begins
+            found[executable] = node.get_name(), interface_of(node)
+    return found
 
 
 def _supervisor(context: Context, parameter_overrides: list[Parameter]) -> Any:
@@ -98,24 +75,6 @@ def _supervisor(context: Context, parameter_overrides: list[Parameter]) -> Any:
 
     processes: Any = [SimpleNamespace(name=name) for name in (SIMULATOR, *PARTICIPANTS)]
     return Supervisor(processes, SupervisionOptions(), print, context=context)
-
-
-@contextmanager
-def _running(
-    build: Callable[..., Any], parameters: Mapping[str, Any], domain: int
-) -> Iterator[Any]:
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    try:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        node = build(context=context, parameter_overrides=overrides)
-        if hasattr(node, '_join'):
-            node._join()  # an onlooker subscribes when a run begins
-        yield node
-        node.close()
-        leave_graph(node)
-    finally:
-        rclpy.try_shutdown(context=context)
 
 
 def interface_of(node: Any) -> Interface:
@@ -184,13 +143,9 @@ def policies(found: Mapping[str, tuple[str, Interface]]) -> dict[str, str]:
 
 def record(folder: Path) -> Path:
     """A short run's bag, camera frames included."""
-    request = RunRequest(
-        run_id='short', index=0, program='', seed=0, scenario=Scenario(duration_s=0.5),
-        judging=Judging(specs=('phi_always',)), participants=PARTICIPANTS,
-    )
-    with composed_graph(GraphOptions(perception='truth', out=folder)) as graph:
-        graph.run([request], lambda request, result: result.outcome.judged)
-    return folder / request.run_id
+    graph = composed_graph(GraphOptions(perception='truth', out=folder))
+    judged_in(graph, request('short', 0.5))
+    return folder / 'short'
 
 
 def main() -> None:

@@ -5,16 +5,15 @@ A perception that runs freely beside it answers as it did in the lockstep, to th
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from graph_runs import parameters, spin, start_node
 from mcap.writer import Writer
-from playing import listening, make_player, playing, spin
+from playing import listening, make_player, playing
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
@@ -45,24 +44,18 @@ def same(heard: list[bytes], recorded: list[bytes]) -> bool:
     )
 
 
-def start(module: str, domain: int, *words: str) -> subprocess.Popen[str]:
-    command = [sys.executable, '-m', f'taxinet_ros.nodes.{module}', '--ros-args', *words]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
-    return subprocess.Popen(command, env=environment, text=True, stderr=subprocess.PIPE)
-
-
 def test_given_a_perception_beside_the_player_then_its_estimates_are_the_recorded_ones(bag):
     renamed = {RENAMED: ESTIMATE}
     with listening(ESTIMATE, interface.CLOCK, **renamed) as (listener, executor, context):
         domain = context.get_domain_id()
-        perception = start('taxinet_perception', domain)
+        perception = start_node('taxinet_perception', domain)
         ear = next(e for e in listener.ears if e.topic_name == f'/{ESTIMATE.name}')
         try:
             spin(executor, lambda: ear.get_publisher_count() == 1)
-            player = start(
-                'bag_player', domain, '-p', f'bag:={bag}', '-r', f'{ESTIMATE.name}:={RENAMED}',
-                '-p', 'wait_for:=["camera/image_raw", "perception/tracking_error", "/clock"]',
-            )
+            player = start_node('bag_player', domain, *parameters(
+                f'bag:={bag}',
+                'wait_for:=["camera/image_raw", "perception/tracking_error", "/clock"]',
+            ), '-r', f'{ESTIMATE.name}:={RENAMED}')
             spin(executor, lambda: player.poll() is not None)
             _, said = player.communicate()
             spin(executor, lambda: len(listener.heard[ESTIMATE.name]) == STEPS)
@@ -134,10 +127,10 @@ def test_given_nobody_to_listen_when_the_time_is_up_then_that_is_said(bag, capfd
 
 def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_ends_with_130(bag):
     with listening(interface.CLOCK) as (listener, executor, context):
-        player = start(
-            'bag_player', context.get_domain_id(), '-p', f'bag:={bag}', '-p', 'loop:=true',
-            '-p', 'rate:=10.0', '-p', 'wait_for:=["/clock"]', '-p', 'exclude:=["camera/image_raw"]',
-        )
+        player = start_node('bag_player', context.get_domain_id(), *parameters(
+            f'bag:={bag}', 'loop:=true', 'rate:=10.0', 'wait_for:=["/clock"]',
+            'exclude:=["camera/image_raw"]',
+        ))
         heard = listener.heard[interface.CLOCK.name]
         spin(executor, lambda: len(heard) > 2 * STEPS)
         player.send_signal(signal.SIGINT)
@@ -148,7 +141,7 @@ def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_en
 
 
 @pytest.mark.parametrize(
-    ('parameters', 'words'),
+    ('given', 'words'),
     [
         ({'bag': ''}, 'is required'),
         ({'bag': 'nowhere'}, 'nowhere'),
@@ -159,9 +152,9 @@ def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_en
         ({'speed': 2.0}, "unknown parameter 'speed'"),
     ],
 )
-def test_given_a_bad_parameter_then_one_line_says_what_is_wrong(parameters, words, bag):
+def test_given_a_bad_parameter_then_one_line_says_what_is_wrong(given, words, bag):
     with listening() as (_, _, context), pytest.raises(UsageError) as caught:
-        make_player(context, **{'bag': bag, **parameters})
+        make_player(context, **{'bag': bag, **given})
     assert words in str(caught.value)
     assert '\n' not in str(caught.value)
 

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from graph_runs import parameters, start_node
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.nodes.running.domain import own_domain
 
 pytestmark = pytest.mark.ros
 
-FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
-
-
-def start(name: str, domain: int | str, *parameters: str, **how) -> subprocess.Popen[str]:
-    words = [str(FOLDER / name)]
-    for parameter in parameters:
-        words += ['--ros-args', '-p', parameter]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
-    return subprocess.Popen(words, env=environment, text=True, stderr=subprocess.PIPE, **how)
+def start(name: str, domain: int | str, *values: str, **how) -> subprocess.Popen[str]:
+    return start_node(name, domain, *parameters(*values), **how)
 
 
 def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_them(tmp_path):

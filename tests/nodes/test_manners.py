@@ -2,89 +2,49 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 import re
 import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import pytest
-import rclpy
+from graph_runs import class_of, on_own_domain, parameters, start_node
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as Given
 from waiting import wait_for
 
 from taxinet_ros.cli.run.node import NODES
-from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.foxglove_server import FoxgloveServer
-from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
-from taxinet_ros.nodes.mtl_monitor import MtlMonitor
-from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all
-from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
-from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
-from taxinet_ros.nodes.scene_markers import SceneMarkers
-from taxinet_ros.nodes.simulator import Simulator
-from taxinet_ros.nodes.steering_controller import SteeringController
-from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
-FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 DOCS = Path(__file__).parents[2] / 'docs' / 'ros.md'
 OF_RCLPY = {'use_sim_time', 'start_type_description_service'}
-CLASSES: dict[str, type[Any]] = {
-    'simulator': Simulator,
-    'taxinet_perception': TaxinetPerception,
-    'ground_truth_perception': GroundTruthPerception,
-    'steering_controller': SteeringController,
-    'mtl_monitor': MtlMonitor,
-    'recorder': Recorder,
-    'runtime_monitor': RuntimeMonitor,
-    'scenario_sampler': StandaloneSampler,
-    'bag_player': BagPlayer,
-    'scene_markers': SceneMarkers,
-    'foxglove_server': FoxgloveServer,
-}
-
-
 def usage_of(executable: str) -> Usage:
     usage: Usage = import_module(f'taxinet_ros.nodes.{executable}').USAGE
     return usage
 
 
-def start(name: str, domain: int, *words: str, log: Path | None = None) -> subprocess.Popen[str]:
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
-    with log.open('w') if log else contextlib.nullcontext(subprocess.PIPE) as into:
-        return subprocess.Popen(
-            [str(FOLDER / name), *words], env=environment, text=True,
-            stdout=subprocess.DEVNULL if log else subprocess.PIPE, stderr=into,
-        )
-
-
 def ends_of(commands: dict[str, tuple[str, ...]]) -> dict[str, tuple[int, str, str]]:
     """Exit code and output of executables that were started side by side, by their label."""
     with own_domain() as domain:
-        running = {label: start(*words[:1], domain, *words[1:])
-                   for label, words in commands.items()}
+        running = {
+            label: start_node(name, domain, *words, stdout=subprocess.PIPE)
+            for label, (name, *words) in commands.items()
+        }
         said = {label: process.communicate() for label, process in running.items()}
     return {label: (process.returncode, *said[label]) for label, process in running.items()}
 
 
 def test_r15_given_help_then_each_executable_tells_its_parameters_and_topics_and_leaves():
-    assert set(CLASSES) == set(NODES)
     for name, (code, told, errors) in ends_of({name: (name, '--help') for name in NODES}).items():
         assert (code, errors) == (0, ''), name
         usage = usage_of(name)
@@ -149,22 +109,23 @@ def test_r15_given_a_graph_that_is_not_whole_then_who_is_up_says_whom_it_waits_f
 
         def begin(name: str, *words: str) -> subprocess.Popen[str]:
             logs[name] = tmp_path / f'{name}.log'
-            return start(name, domain, *words, log=logs[name])
+            with logs[name].open('w') as log:
+                return start_node(name, domain, *parameters(*words), stderr=log)
 
         def says(name: str, text: str) -> Callable[[], bool]:
             return lambda: text in logs[name].read_text()
 
         nodes = [
-            begin('scenario_sampler', '--ros-args', '-p', 'program:=nominal', '-p',
-                  'set:=["duration=1"]', '-p', f'out:={tmp_path}/c'),
+            begin('scenario_sampler', 'program:=nominal', 'set:=["duration=1"]',
+                  f'out:={tmp_path}/c'),
         ]
         try:
             wait_for(says('scenario_sampler', 'waiting for: simulator'))
             nodes += [
-                begin('simulator', '--ros-args', '-p', 'ready_timeout:=600.0'),
+                begin('simulator', 'ready_timeout:=600.0'),
                 begin('ground_truth_perception'),
                 begin('mtl_monitor'),
-                begin('recorder', '--ros-args', '-p', f'out:={tmp_path}/bags'),
+                begin('recorder', f'out:={tmp_path}/bags'),
             ]
             wait_for(says('simulator', 'waiting for: steering_controller'))
             wait_for(says('recorder', 'waiting for: steering_controller'))
@@ -197,59 +158,42 @@ def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor
         'foxglove_server': {'port': 0},
     }
     found = {}
-    with own_domain() as domain:
-        for name, kind in CLASSES.items():
-            context = Context()
-            rclpy.init(context=context, domain_id=domain)
+    for name in NODES:
+        with on_own_domain(SingleThreadedExecutor) as spinning:
             overrides = [Given(key, value=value) for key, value in given.get(name, {}).items()]
-            node = kind(context=context, parameter_overrides=overrides)
-            try:
-                found[name] = described_by(node)
-            finally:
-                node.close()
-                leave_graph(node)
-                rclpy.shutdown(context=context)
+            node = class_of(name)(context=spinning.context, parameter_overrides=overrides)
+            spinning.add(node)
+            found[name] = described_by(node, spinning)
     return found
 
 
-def described_by(node: Node) -> list[ParameterDescriptor]:
+def described_by(node: Node, spinning: NodeExecutor) -> list[ParameterDescriptor]:
     """What ``ros2 param describe`` asks a node for: by the service, as anybody would."""
-    asker = rclpy.create_node('asker', context=node.context)
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    executor.add_node(asker)
-    service = f'{node.get_name()}/describe_parameters'
-    client = asker.create_client(DescribeParameters, service)
+    asker = Node('asker', context=node.context)
+    spinning.add(asker)
+    client = asker.create_client(DescribeParameters, f'{node.get_name()}/describe_parameters')
     assert client.wait_for_service()
     names = [name for name in node._parameters if name not in OF_RCLPY]
     answer = client.call_async(DescribeParameters.Request(names=names))
-    executor.spin_until_future_complete(answer)
-    executor.remove_node(node)
-    leave_graph(asker)
-    executor.shutdown()
+    spinning.executor.spin_until_future_complete(answer)
     return list(answer.result().descriptors)
 
 
 def test_given_a_whole_number_for_a_double_then_every_executable_takes_it():
     taken = 0
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        try:
-            for executable in NODES:
-                doubles = [
-                    one for one in usage_of(executable).parameters if isinstance(one.default, float)
-                ]
-                whole = {one.name: math.ceil(one.limits[0]) for one in doubles if one.limits}
-                given = [Given(name, value=value) for name, value in whole.items()]
-                node = Node('taker', context=context, parameter_overrides=given)
-                found = declare_all(node, doubles)
-                assert found == whole
-                assert all(type(value) is float for value in found.values())
-                taken += len(found)
-                leave_graph(node)
-        finally:
-            rclpy.shutdown(context=context)
+    with on_own_domain() as spinning:
+        for executable in NODES:
+            doubles = [
+                one for one in usage_of(executable).parameters if isinstance(one.default, float)
+            ]
+            whole = {one.name: math.ceil(one.limits[0]) for one in doubles if one.limits}
+            given = [Given(name, value=value) for name, value in whole.items()]
+            node = Node('taker', context=spinning.context, parameter_overrides=given)
+            found = declare_all(node, doubles)
+            assert found == whole
+            assert all(type(value) is float for value in found.values())
+            taken += len(found)
+            spinning.add(node)
     assert taken > 20
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from playing import listening, playing, spin
+from graph_runs import run, spin
+from playing import listening, playing
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 
@@ -87,15 +88,15 @@ def test_given_a_run_with_it_then_time_waits_for_it_and_the_bag_says_the_same(
     tmp_path, short_request, mine
 ):
     request = replace(short_request, run_id='beside', participants=BESIDE)
-    results, messages = [], []
+    messages = []
     with composed_graph(GraphOptions(perception='taxinet', out=tmp_path)) as graph:
         spinning = graph._spinning
         node = make_node(spinning.context, mine)
         spinning.add(node)
         topic = interface.ALARM
         node.create_subscription(topic.type, topic.name, messages.append, topic.end_qos, raw=True)
-        graph.run([request], lambda request, result: results.append(result) or True)
-    assert results[0].outcome.judged, results
+        (result,) = run(graph, request)
+    assert result.outcome.judged, result
     told = judged(tmp_path / 'beside', mine)
     assert told.alarm is not None
     assert 0 < told.alarm.step < 20
@@ -144,11 +145,10 @@ def test_given_a_lost_frame_then_nothing_is_judged_and_it_says_so(bag, mine):
 
 
 def test_given_a_free_run_then_it_cannot_take_part(tmp_path, short_request, mine):
-    results = []
     options = GraphOptions(perception='truth', out=tmp_path, timing=free_timing('0.0'))
     request = replace(short_request, participants=BESIDE)
     with composed_graph(options) as graph:
         graph._spinning.add(make_node(graph._spinning.context, mine))
-        graph.run([request], lambda request, result: results.append(result) or True)
-    assert results[0].outcome is Outcome.REJECTED
-    assert 'runtime_monitor: not in a free run' in results[0].detail
+        (result,) = run(graph, request)
+    assert result.outcome is Outcome.REJECTED
+    assert 'runtime_monitor: not in a free run' in result.detail

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
 import pytest
-import rclpy
 from campaign_records import results, write_campaign
-from rclpy.context import Context
+from graph_runs import judged_in, on_own_domain, parameters, request, start_node
 from rclpy.parameter import Parameter
 from waiting import wait_for
 
@@ -28,9 +25,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.cli.run.search import run_falsify
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
@@ -39,7 +34,6 @@ from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
-FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 RUNS = 12
 SPEC = 'close=always(abs(cte) <= 0.3)'
 SEARCH = (
@@ -64,15 +58,10 @@ class Graph:
 
 
 def start(
-    executable: str, domain: int, *parameters: str, name: str = ''
+    executable: str, domain: int, *values: str, name: str = ''
 ) -> subprocess.Popen[str]:
-    words = [str(FOLDER / executable), '--ros-args']
-    words += ['-r', f'__node:={name}'] if name else []
-    words += [word for parameter in parameters for word in ('-p', parameter)]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'}
-    return subprocess.Popen(
-        words, env=environment, text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
+    renamed = ['-r', f'__node:={name}'] if name else []
+    return start_node(executable, domain, *parameters(*values), *renamed)
 
 
 @pytest.fixture(scope='module')
@@ -225,15 +214,9 @@ def test_given_a_sampler_at_work_then_others_are_refused_and_it_can_be_interrupt
 
 
 def test_given_a_run_of_the_same_name_as_the_one_before_then_it_is_run_again(tmp_path):
-    request = RunRequest(
-        run_id='again', index=0, program='', seed=0, scenario=Scenario(duration_s=1.0),
-        judging=Judging(specs=('phi_always',)),
-        participants=tuple(set(PARTICIPANTS) - {RECORDER}),
-    )
-    results = []
-    with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
-        graph.run([request, request], lambda request, result: results.append(result) or True)
-    assert [result.outcome for result in results] == [Outcome.PASS, Outcome.PASS]
+    asked = request('again', 1.0, participants=tuple(set(PARTICIPANTS) - {RECORDER}))
+    graph = composed_graph(GraphOptions(perception='truth', out=tmp_path))
+    results = judged_in(graph, asked, asked)
     assert results[0].rho == results[1].rho
 
 
@@ -263,18 +246,14 @@ BAD = {
 }
 
 
-def built(parameters: dict[str, object], *words: str) -> SearchOptions | None:
+def built(given: dict[str, object], *words: str) -> SearchOptions | None:
     """Build the node in this process, also with words of its command line; what it is to search."""
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        try:
-            overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-            return StandaloneSampler(
-                context=context, parameter_overrides=overrides, cli_args=['--ros-args', *words],
-            ).search
-        finally:
-            rclpy.try_shutdown(context=context)
+    with on_own_domain() as spinning:
+        overrides = [Parameter(name, value=value) for name, value in given.items()]
+        return StandaloneSampler(
+            context=spinning.context, parameter_overrides=overrides,
+            cli_args=['--ros-args', *words],
+        ).search
 
 
 @pytest.mark.parametrize('case', BAD)

@@ -6,15 +6,12 @@ import json
 
 import numpy as np
 import pytest
-import rclpy
+from graph_runs import on_own_domain, spin
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
+from playing import playing
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.task import Future
 from taxinet_msgs.msg import RunStatus
 from visualization_msgs.msg import Marker
 
@@ -27,9 +24,6 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.scene_markers import MovingMarkers, SceneMarkers, ground_markers
 
 STEPS = 21
@@ -139,70 +133,40 @@ def test_given_time_that_goes_back_then_another_path_begins():
 
 @pytest.mark.ros
 def test_given_a_simulator_that_counts_its_listeners_then_an_onlooker_comes_after_the_start():
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        executor = EventsExecutor(context=context)
-        simulator = Node(interface.SIMULATOR, context=context)
+    with on_own_domain() as spinning:
+        simulator = Node(interface.SIMULATOR, context=spinning.context)
         odometry, status = (
             simulator.create_publisher(topic.type, topic.name, topic.qos)
             for topic in (interface.ODOMETRY, interface.RUN_STATUS)
         )
-        onlooker = SceneMarkers(context=context)
-
-        def spin(until) -> None:
-            while not until():
-                executor.spin_until_future_complete(Future(executor=executor), timeout_sec=0.05)
-
-        try:
-            executor.add_node(simulator)
-            executor.add_node(onlooker)
-            spin(lambda: status.get_subscription_count() == 1)
-            looks = iter(range(10))
-            spin(lambda: next(looks, None) is None)
-            assert odometry.get_subscription_count() == 0
-            status.publish(RunStatus(state=RunStatus.PREPARING))
-            status.publish(RunStatus(state=RunStatus.RUNNING))
-            spin(lambda: odometry.get_subscription_count() == 1)
-        finally:
-            onlooker.close()
-            for node in (simulator, onlooker):
-                executor.remove_node(node)
-                leave_graph(node)
-            executor.shutdown()
-            rclpy.try_shutdown(context=context)
+        spinning.add(simulator)
+        spinning.add(SceneMarkers(context=spinning.context))
+        spin(spinning.executor, lambda: status.get_subscription_count() == 1)
+        looks = iter(range(10))
+        spin(spinning.executor, lambda: next(looks, None) is None)
+        assert odometry.get_subscription_count() == 0
+        status.publish(RunStatus(state=RunStatus.PREPARING))
+        status.publish(RunStatus(state=RunStatus.RUNNING))
+        spin(spinning.executor, lambda: odometry.get_subscription_count() == 1)
 
 
 @pytest.mark.ros
 def test_given_a_bag_that_is_played_then_the_scene_follows_it(bag):
     heard: dict[str, list] = {topic.name: [] for topic in interface.SCENE}
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        executor = EventsExecutor(context=context)
+    with on_own_domain() as spinning:
+        context, executor = spinning.context, spinning.executor
         listener = Node('listener', context=context)
         for topic in interface.SCENE:
             qos = QoSProfile(depth=100, durability=topic.qos.durability)
             listener.create_subscription(topic.type, topic.name, heard[topic.name].append, qos)
-        values = {
-            'bag': str(bag), 'rate': 2.0, 'wait_for': ['ground_truth/odom'],
-            'exclude': ['camera/image_raw'],
-        }
-        overrides = [Parameter(name, value=value) for name, value in values.items()]
-        player = BagPlayer(context=context, parameter_overrides=overrides)
-        nodes = [listener, SceneMarkers(context=context), player]
-        try:
-            for node in nodes:
-                executor.add_node(node)
+        for node in (listener, SceneMarkers(context=context)):
+            spinning.add(node)
+        with playing(
+            context, executor, bag, rate=2.0, wait_for=['ground_truth/odom'],
+            exclude=['camera/image_raw'],
+        ) as player:
             assert player.play(executor) == 0
-            while len(heard['scene/aircraft']) < STEPS:
-                executor.spin_until_future_complete(Future(executor=executor), timeout_sec=0.05)
-        finally:
-            for node in nodes:
-                executor.remove_node(node)
-                leave_graph(node)
-            executor.shutdown()
-            rclpy.try_shutdown(context=context)
+        spin(executor, lambda: len(heard['scene/aircraft']) == STEPS)
     assert len(heard['scene/runway']) == 1
     trace = open_recording(bag).columns
     path = heard['scene/aircraft'][-1].markers[1]

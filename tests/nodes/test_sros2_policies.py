@@ -9,7 +9,6 @@ import pytest
 from sros2_policies import FOLDER, SUPERVISOR, Interface, interfaces, policies
 
 from taxinet_ros.cli.run.node import NODES
-from taxinet_ros.nodes import interface
 
 pytestmark = pytest.mark.ros
 
@@ -27,31 +26,12 @@ def found(bag: Path, tmp_path_factory) -> dict[str, tuple[str, Interface]]:
 
 def test_given_the_nodes_as_they_run_then_the_shipped_policies_allow_that_and_no_more(found):
     shipped = {path.name: path.read_text(encoding='utf-8') for path in FOLDER.iterdir()}
-    assert shipped == policies(found)  # python tests/nodes/sros2_policies.py writes them anew
+    assert shipped == policies(found), 'sros2_policies.py writes them anew'
     assert set(found) == {*NODES, SUPERVISOR}
-
-
-def test_given_the_table_of_topics_then_every_end_in_it_is_in_the_nodes_interfaces(found):
-    ends = {deed: {(node, name) for node, rules in found.values()
-                   for name in rules.get(('topics', deed), ())}
-            for deed in ('publish', 'subscribe')}
-    count = 0
-    for topic in interface.TOPICS:
-        name = f'/{topic.name.lstrip("/")}'
-        for node in topic.publishers:
-            assert (node, name) in ends['publish']
-        heard = {*topic.subscribers, *({interface.RECORDER} if topic.recorded else ())}
-        if topic is interface.SCENARIO:
-            heard = set(interface.PARTICIPANTS)
-        if topic is interface.RUN_STATUS:
-            heard = {interface.RECORDER}
-        for node in heard:
-            assert (node, name) in ends['subscribe']
-            count += 1
-    assert count > 20
-    for topic in interface.TRANSFORMS:  # The recorder makes what it writes of odometry.
-        speakers = {node for node, name in ends['publish'] if name == f'/{topic.name}'}
-        assert speakers == {interface.SIMULATOR, 'bag_player'}
+    speakers = {
+        node for node, rules in found.values() if '/tf' in rules.get(('topics', 'publish'), ())
+    }
+    assert speakers == {'simulator', 'bag_player'}, 'the recorder makes what it writes of odometry'
 
 
 @pytest.mark.parametrize('path', sorted(FOLDER.iterdir()), ids=lambda path: path.name)

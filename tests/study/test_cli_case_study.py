@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -12,10 +11,13 @@ from pathlib import Path
 import pytest
 from taxinet_process import taxinet
 
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.cli.study.case_study import CaseStudyOptions, run_case_study
+from taxinet_ros.cli.study.case_study import report_case_study, run_case_study
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.study.stages.config import read_study
+from taxinet_ros.study.stages.record import read_options
 
 PROGRAM = """model runway_world
 param time_of_day = Range(10, 11)
@@ -31,16 +33,17 @@ workers: 1
 BEST_ONLY = """
 import sys
 from pathlib import Path
-from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.study.stages.config import read_config
 from taxinet_ros.study.stages.plan import stages
-from taxinet_ros.study.stages.log import StageLog
+from taxinet_ros.study.stages.record import open_study
 from taxinet_ros.study.stages.run import StudyRun
 
 found = [stage for stage in stages(read_config(Path('mine.yaml'))) if stage.name == 'evaluate-best']
-with StageLog(Path('study')) as log:
-    run = StudyRun(Path('study'), found, log=log, command=stage_command(), workers=1,
-                   show=lambda line: print(line, flush=True))
+sys.stdout.reconfigure(line_buffering=True)
+with open_study(Path('study'), print) as record:
+    run = StudyRun(
+        Path('study'), found, record=record, work=call_stage, workers=1, show=print)
     sys.exit(run.run())
 """
 
@@ -67,9 +70,7 @@ def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_pa
 
 @pytest.mark.parametrize(('options', 'complaint'), [
     ({'resume': True}, r'--resume: name the case study to continue with --out'),
-    ({'resume': True, 'out': Path('new')}, r'--resume: new/study.json: no such file'),
-    ({'report_only': True}, r'--report-only: name the case study with --out'),
-    ({'report_only': True, 'out': Path('new')}, r'--report-only: new/study.json: no such file'),
+    ({'resume': True, 'out': Path('new')}, r'--resume: new: no study of taxinet case-study'),
     ({'until': 'lunch'}, r'--until lunch: no such stage; known: train-original, '),
     ({'scale': 0.0}, r'--scale 0: needs to be above 0, at most 100'),
     ({'config': Path('gone.yaml')}, r'--config gone.yaml: cannot be read'),
@@ -79,28 +80,33 @@ def test_given_bad_input_then_it_is_refused_and_nothing_is_written(
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=complaint):
-        run_case_study(CaseStudyOptions(**options))
+        run_case_study(**options)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_given_no_study_then_there_is_no_report(tmp_path):
+    with pytest.raises(UsageError, match=r'--report-only: name the case study with --out'):
+        report_case_study(None)
+    with pytest.raises(UsageError, match=r'--report-only: .*/new: no study of taxinet case-study'):
+        report_case_study(tmp_path / 'new')
 
 
 def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(
-        'taxinet_ros.cli.study.case_study.stage_command',
-        lambda: [sys.executable, '-S', '-c', '1 / 0'],
-    )
+        'taxinet_ros.cli.study.case_study.call_stage', lambda stage, resume: 3)
     out = tmp_path / 'study'
-    assert run_case_study(CaseStudyOptions(out=out, scale=0.02)) == 1
-    begun = read_study(out, '--resume')
-    assert (begun.runs, begun.images) == (80, 240)
-    assert run_case_study(CaseStudyOptions(out=out, resume=True, runs=90)) == 1
-    assert read_study(out, '--resume').runs == 90
-    assert read_study(out, '--resume').images == 240
+    assert run_case_study(out=out, scale=0.02) == 3
+    begun = read_options(out, 'case-study', '')
+    assert (begun['runs'], begun['images']) == (80, 240)
+    assert run_case_study(out=out, resume=True, runs=90) == 3
+    begun = read_options(out, 'case-study', '')
+    assert (begun['runs'], begun['images']) == (90, 240)
     printed = capsys.readouterr().out
-    assert 'stopped at train-original: exit code 1; once it is mended, --resume' in printed
+    assert 'stopped at train-original: exit code 3; once it is mended, --resume' in printed
     with pytest.raises(UsageError, match=r'study: already exists'):
-        run_case_study(CaseStudyOptions(out=out))
+        run_case_study(out=out)
 
 
 @pytest.mark.ros
@@ -130,16 +136,15 @@ def test_given_a_campaign_interrupted_when_the_study_is_resumed_then_it_goes_on_
         command, cwd=tmp_path, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert '--runs 4 --workers 1 --resume' in done.stdout
-    kept = [line for line in _results(out)[:len(before)] if '"INTERRUPTED"' not in line]
-    assert kept == [line for line in before if '"INTERRUPTED"' not in line]
+    kept = [row for row in before if row.outcome is not Outcome.INTERRUPTED]
+    assert _results(out)[:len(kept)] == kept
     table = read_table(out / 'evaluate-best')
     assert table['index'].tolist() == list(range(4))
     assert table['duration_s'].unique().tolist() == [2.0]
 
 
-def _results(out: Path) -> list[str]:
-    lines = (out / 'evaluate-best' / 'ledger.jsonl').read_text().splitlines()
-    return [line for line in lines if json.loads(line)['event'] == 'result']
+def _results(out: Path) -> list[RunRow]:
+    return list(read_campaign(out / 'evaluate-best').rows)
 
 
 def test_s11_given_list_for_a_folder_without_a_study_then_all_stages_are_named(tmp_path):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import errno
-import os
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,11 +15,13 @@ from training_samples import foreign_folder
 from taxinet_ros.core.perception import weights
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.journal import Journal
+from taxinet_ros.files.record import Record, read_record
 from taxinet_ros.training import fit as fitting
 from taxinet_ros.training import train as training
 from taxinet_ros.training.data import dataset as datasets
+from taxinet_ros.training.data import unfinished
 from taxinet_ros.training.data.portions import parse_portion
+from taxinet_ros.training.data.unfinished import NAME
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.training.train import IMAGES, train
 
@@ -111,7 +114,7 @@ def test_an_unfinished_folder_without_its_request_is_no_interrupted_training(
         train(options(out, resume=True))
     with pytest.raises(KeyboardInterrupt):
         train(options(out), at(IMAGES, 1))
-    assert {path.name for path in folder.iterdir()} == {'pictures.jsonl', 'request.json'}
+    assert {path.name for path in folder.iterdir()} == {NAME}
 
 
 def test_a_folder_of_something_else_in_the_place_of_the_unfinished_one_is_kept(
@@ -141,30 +144,38 @@ def test_a_training_that_patience_has_ended_does_not_go_on(
     assert train(dataclasses.replace(asked, resume=True)).weights_sha256 == stopped.weights_sha256
 
 
-def test_a_torn_picture_is_rendered_again(undisturbed: Path, tmp_path: Path) -> None:
+def test_a_damaged_picture_is_rendered_again(
+    undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / 'net.safetensors'
     with pytest.raises(KeyboardInterrupt):
         train(options(out), at(IMAGES, 5))
-    pictures = tmp_path / 'net.part' / 'pictures.jsonl'
-    os.truncate(pictures, pictures.stat().st_size - 100)
+    record = tmp_path / 'net.part' / NAME
+    with contextlib.closing(sqlite3.connect(record)) as file, file:
+        file.execute('UPDATE entries SET value = replace(value, "cte_m", "cte") '
+                     'WHERE key = "00000002"')
     train(options(out, resume=True))
+    assert "damaged (entry picture '00000002')" in capsys.readouterr().err
     assert out.read_bytes() == undisturbed.read_bytes()
 
 
 def test_a_full_disk_loses_no_picture(
     undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, append = tmp_path / 'net.safetensors', Journal.append
+    out, put_all, written = tmp_path / 'net.safetensors', Record.put_all, []
 
-    def full(self: Journal, event: dict[str, object]) -> None:
-        if (tmp_path / 'net.part' / 'pictures.jsonl').stat().st_size > 20_000:
-            raise OSError(errno.ENOSPC, 'No space left on device', 'pictures.jsonl')
-        append(self, event)
+    def full(self: Record, entries: list[tuple[str, str, object]]) -> None:
+        if len(written) > 5:
+            raise OSError(errno.ENOSPC, 'No space left on device', NAME)
+        written.extend(entries)
+        put_all(self, entries)
 
-    monkeypatch.setattr(Journal, 'append', full)
+    monkeypatch.setattr(unfinished, 'FLUSH_S', 0.0)
+    monkeypatch.setattr(Record, 'put_all', full)
     with pytest.raises(RecordError, match=r'No space left.*mend that, then go on with --resume'):
         train(options(out))
     monkeypatch.undo()
+    assert len(read_record(tmp_path / 'net.part' / NAME)['picture']) == 5
     train(options(out, resume=True))
     assert out.read_bytes() == undisturbed.read_bytes()
 
@@ -186,7 +197,7 @@ def test_changed_arguments_are_refused_by_name(tmp_path: Path) -> None:
         assert '\n' not in str(caught.value)
     with pytest.raises(UsageError, match='an interrupted training; add --resume to go on'):
         train(options(out))
-    assert (tmp_path / 'net.part' / 'pictures.jsonl').stat().st_size > 0
+    assert len(read_record(tmp_path / 'net.part' / NAME)['picture']) == 1
 
 
 def test_a_changed_folder_of_pictures_is_refused(tmp_path: Path) -> None:

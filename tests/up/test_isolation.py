@@ -10,9 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
+from graph_runs import on_own_domain
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
@@ -25,7 +23,6 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.running import domain
 from taxinet_ros.nodes.running.domain import BY_HAND, own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_until
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
@@ -36,16 +33,11 @@ SEEDS = {'first': 5, 'second': 6}
 @pytest.fixture(scope='module')
 def taken():
     """A ROS domain on which somebody else publishes the clock."""
-    with own_domain() as number:
-        context = Context()
-        rclpy.init(context=context, domain_id=number)
-        node = Node('other_world', namespace='/elsewhere', context=context)
+    with on_own_domain() as spinning:
+        node = Node('other_world', namespace='/elsewhere', context=spinning.context)
         node.create_publisher(interface.CLOCK.type, interface.CLOCK.name, interface.CLOCK.qos)
-        try:
-            yield number
-        finally:
-            leave_graph(node)
-            rclpy.try_shutdown(context=context)
+        spinning.add(node)
+        yield spinning.context.get_domain_id()
 
 
 @pytest.mark.parametrize(
@@ -124,30 +116,17 @@ def standing(tmp_path):
     """A graph as ``ros2 run`` starts it by hand, on a domain that nobody has reserved."""
     with own_domain() as number:
         pass
-    context = Context()
-    rclpy.init(context=context, domain_id=number)
     foreign = GraphOptions(perception='truth', out=tmp_path / 'foreign', images='none')
-    executor = EventsExecutor(context=context)
-    nodes = [
-        kind(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in given.items()])
-        for kind, given in foreign.nodes().values()
-    ]
-    for node in nodes:
-        executor.add_node(node)
-    over = Future(executor=executor)
-    thread = threading.Thread(target=spin_until, args=(executor, over))
-    thread.start()
-    try:
+    with on_own_domain(domain=number) as spinning:
+        for kind, given in foreign.nodes().values():
+            overrides = [Parameter(n, value=v) for n, v in given.items()]
+            spinning.add(kind(context=spinning.context, parameter_overrides=overrides))
+        over = Future(executor=spinning.executor)
+        thread = threading.Thread(target=spin_until, args=(spinning.executor, over))
+        thread.start()
         yield number
-    finally:
         over.set_result(None)
         thread.join()
-        for node in nodes:
-            node.close()
-            executor.remove_node(node)
-            leave_graph(node)
-        executor.shutdown()
-        rclpy.try_shutdown(context=context)
 
 
 def first_choice(number: int, monkeypatch) -> None:

@@ -5,27 +5,26 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-import rclpy
-from rclpy.context import Context
+from graph_runs import on_own_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.supervisor import RunWatch
-from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 
 
 class Stage:
     """A watch that hears of runs only when it is told to listen."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, spinning: NodeExecutor) -> None:
         names = 'watch', interface.SIMULATOR
-        self.node, self.others = (Node(name, context=context) for name in names)
+        self.node, self.others = (Node(name, context=spinning.context) for name in names)
         self.lines: list[str] = []
         self.mourned: list[tuple[str, str, str]] = []
         self.watch = RunWatch(self.node, self.lines.append)
-        self._executor = SingleThreadedExecutor(context=context)
+        self._executor = spinning.executor
         self._publishers: dict[type, Any] = {}
         for topic in (interface.RUN_STATUS, interface.NODE_STATUS):
             publisher = self.others.create_publisher(topic.type, topic.name, topic.qos)
@@ -33,7 +32,7 @@ class Stage:
         topic = interface.OBITUARY
         self.others.create_subscription(topic.type, topic.name, self._on_death_notice, topic.qos)
         for node in (self.node, self.others):
-            self._executor.add_node(node)
+            spinning.add(node)
         self.until(lambda: all(p.get_subscription_count() for p in self._publishers.values())
                    and self.node.count_subscribers(topic.name) == 2)
 
@@ -57,11 +56,8 @@ class Stage:
 
 @pytest.fixture
 def stage():
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        yield Stage(context)
-        rclpy.try_shutdown(context=context)
+    with on_own_domain(SingleThreadedExecutor) as spinning:
+        yield Stage(spinning)
 
 
 RUNNING = RunStatus(run_id='one', state=RunStatus.RUNNING)

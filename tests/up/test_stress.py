@@ -11,22 +11,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from graph_runs import judged_in, request
 from slowed_perception import SlowedPerception
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
 BUSY = 3
-REQUEST = RunRequest(
-    run_id='stressed', index=0, program='test', seed=1,
-    judging=Judging(specs=('phi_eventually', 'phi_always')),
-    participants=interface.PARTICIPANTS, scenario=scenario_from_human({
+REQUEST = request(
+    'stressed', judging=Judging(specs=('phi_eventually', 'phi_always')),
+    scenario=scenario_from_human({
         'cross_track': -5.0, 'heading': 14, 'distance': 1300, 'time_of_day': 16.5,
         'clouds': 'scattered', 'duration': 1.5,
     }),
@@ -55,11 +55,7 @@ def cpu_load() -> Iterator[None]:
 
 def run(opened, out: Path) -> tuple[str, RunResult]:
     """SHA-256 of the bag of one run, and the run's result."""
-    results: list[RunResult] = []
-    with opened as graph:
-        graph.run([REQUEST], lambda request, result: results.append(result) or True)
-    (result,) = results
-    assert result.outcome.judged, result
+    (result,) = judged_in(opened, REQUEST)
     bag = out / REQUEST.run_id
     assert read_info(bag).complete
     assert read_info(bag).counts['/camera/image_raw'] == 16

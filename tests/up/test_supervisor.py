@@ -6,11 +6,9 @@ import os
 import time
 
 import pytest
-import rclpy
+from graph_runs import on_own_domain
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.node_process import NodeProcess
@@ -21,8 +19,6 @@ from taxinet_ros.nodes.graph.supervisor import (
     SupervisionOptions,
     Supervisor,
 )
-from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.processes.child import end_all
 
@@ -73,21 +69,15 @@ def start(tmp_path, monkeypatch):
 def looked_after(start, name: str, program: str, care: SupervisionOptions) -> list[str]:
     """What is said of one process until the supervisor is done with it."""
     said: list[str] = []
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        executor = EventsExecutor(context=context)
-        supervisor = Supervisor([start(name, program, domain)], care, said.append, context=context)
-        executor.add_node(supervisor)
+    with on_own_domain() as spinning:
+        context = spinning.context
+        process = start(name, program, context.get_domain_id())
+        supervisor = Supervisor([process], care, said.append, context=context)
+        spinning.add(supervisor)
         try:
-            spin_until(executor, supervisor.ended)
+            spin_until(spinning.executor, supervisor.ended)
         except (GraphLostError, UsageError) as error:
             said.append(f'{type(error).__name__}: {error}')
-        finally:
-            executor.remove_node(supervisor)
-            leave_graph(supervisor)
-            executor.shutdown()
-            rclpy.try_shutdown(context=context)
     return said
 
 

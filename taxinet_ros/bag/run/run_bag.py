@@ -96,7 +96,8 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
 
 
 @functools.cache
-def _canonical(images: bool) -> Canonical:
+def canonical_bytes(images: bool) -> Canonical:
+    """Makes the bytes of equal messages equal; ``images`` as in :func:`bag_topics`."""
     return Canonical(bag_topics(images))
 
 
@@ -121,6 +122,27 @@ def run_words(scenario: Any) -> dict[str, str]:
 def commit_words() -> dict[str, str]:
     """Metadata for ``metadata.yaml`` only, in which bags of equal runs may differ."""
     return {name: value for name, value in provenance().items() if name == COMMIT}
+
+
+def open_run_bag(
+    folder: Path, scenario: Any, *, images: bool, attachments: Mapping[str, bytes],
+    min_free_bytes: int, make_parents: bool,
+) -> BagWriter:
+    """Start the bag of a run, with its request and what is known before its first message.
+
+    Args:
+        folder: as for :class:`RunBag`, like all others.
+        scenario: scenario message of the run.
+        images: whether there will be camera frames.
+        attachments: files to attach besides the request, by name.
+        min_free_bytes: required free disk space [bytes].
+        make_parents: whether to create the folder's parents.
+    """
+    return BagWriter(
+        folder, bag_topics(images), metadata=run_words(scenario), beside=commit_words(),
+        attachments={'scenario.json': scenario_json(scenario), **attachments},
+        min_free_bytes=min_free_bytes, make_parents=make_parents,
+    )
 
 
 OUTCOME_METADATA = 'taxinet_outcome'
@@ -247,16 +269,13 @@ class RunBag:
         self._specs = request.judging.parsed_specs
         self._camera = request.scenario.camera_model
         self._steps = 0
-        named = bag_topics(images)
-        self._canonical = _canonical(images)
+        self._canonical = canonical_bytes(images)
         scenario_cdr = message_cdr(
             topics.SCENARIO, {'header': header_values(0), **scenario_values(request)}
         )
-        scenario = decode(named[0], scenario_cdr)
-        self._writer = BagWriter(
-            folder, named, metadata=run_words(scenario), beside=commit_words(),
-            attachments={'scenario.json': scenario_json(scenario), **attachments},
-            min_free_bytes=min_free_bytes, make_parents=make_parents,
+        self._writer = open_run_bag(
+            folder, decode(bag_topics(images)[0], scenario_cdr), images=images,
+            attachments=attachments, min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
         ready = _ready(request.run_id, nodes, self._camera)
         self._write(0, [(topics.SCENARIO, scenario_cdr), *ready])

@@ -2,16 +2,14 @@
 
 The scenes are those of a recorded campaign, of a table, of a bag, or fresh draws of a program. Only
 the network differs between the runs of a scene, so runs are compared in pairs. Finished runs are
-kept in ``trials.jsonl``: the same command continues after an interrupt, also with more networks.
+kept in a record: the same command continues after an interrupt, also with more networks.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +17,18 @@ import pandas as pd
 
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.judged_run import find_run
-from taxinet_ros.campaign.past_runs.localisation import (
-    TRIALS_NAME,
+from taxinet_ros.campaign.past_runs.recorded_campaign import (
+    RecordedCampaign,
+    open_campaign,
+    spread_evenly,
+)
+from taxinet_ros.campaign.past_runs.trials import (
     Task,
     Trial,
-    TrialSetup,
+    TrialRecord,
+    TrialSystem,
     run_trials,
 )
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
 from taxinet_ros.campaign.rates import sample_size_was_fixed
 from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
@@ -34,23 +36,19 @@ from taxinet_ros.campaign.record.table import read_any_table
 from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
-from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
-from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.system import digest_of
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import make_folder, sync_folder
-from taxinet_ros.files.journal import Journal, damaged_line, open_journal
-from taxinet_ros.registry import KMWH
-from taxinet_ros.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,38 +65,62 @@ class Scene:
     scenario: Scenario
     exact: bool
 
+    def task(self, word: str = AS_RECORDED, gains: Mapping[str, float] | None = None) -> Task:
+        """The trial of this scene; arguments as of :class:`Task`."""
+        return Task(
+            run_id=self.row.run_id, scenario=self.scenario, word=word, exact=self.exact,
+            seed=(self.row.seed, self.row.index), gains=gains,
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSet:
-    """Scenes, and the settings that their runs have in common.
+    """Scenes, and the system that drives them with different networks.
 
     Attributes:
         source: where they come from, as text.
         scenes: the scenes, by index.
-        judging: the headline requirement, which alone is judged.
+        system: as in the recorded runs, with the truth in place of a network; the headline
+            requirement alone is judged.
         fixed: whether their number did not depend on any result.
-        gains, controller, timing, world, world_sha256: as in the recorded runs.
     """
 
     source: str
     scenes: tuple[Scene, ...]
-    judging: Judging
+    system: TrialSystem
     fixed: bool = True
-    gains: Mapping[str, float] = field(default_factory=dict)
-    controller: str = STEERING
-    timing: str = ''
-    world: str = KMWH
-    world_sha256: str = ''
+
+    def system_with(self, network: str) -> TrialSystem:
+        """The system with a network."""
+        return dataclasses.replace(self.system, perception=network)
 
     @property
-    def digest(self) -> str:
-        """Digest of everything but the network that decides the results."""
-        values = [
-            __version__, self.judging.facts(), dict(self.gains), self.controller, self.timing,
-            self.world, self.world_sha256,
-            [[scene.row.run_id, repr(scene.scenario)] for scene in self.scenes],
-        ]
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    def settings(self) -> dict[str, str]:
+        """Digests of everything but the network that decides the results."""
+        return {
+            'system': self.system.digest,
+            'scenes': digest_of([
+                [scene.row.run_id, repr(scene.scenario)] for scene in self.scenes
+            ]),
+        }
+
+
+def system_of(campaign: RecordedCampaign) -> TrialSystem:
+    """The system of a campaign, with the truth in place of its network."""
+    world, package = recorded_world(campaign.facts)
+    return TrialSystem(
+        perception=GroundTruth.word, judging=campaign.judging, gains=dict(campaign.gains),
+        controller=str(campaign.facts.get('controller', STEERING)),
+        timing=parse_timing(campaign.timing), world=world, world_sha256=package,
+    )
+
+
+def _headline(judging: Judging) -> Judging:
+    return dataclasses.replace(judging, specs=judging.specs[:1])
+
+
+def _plain_system(judging: Judging) -> TrialSystem:
+    return TrialSystem(perception=GroundTruth.word, judging=_headline(judging))
 
 
 def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
@@ -124,32 +146,23 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
     campaign = open_campaign(path)
     if is_free(campaign.timing):
         raise UsageError(f'{path}: free runs: {NOT_REPRODUCIBLE}')
-    world, package = recorded_world(campaign.facts)
-    if again := find_world(world, package).again_words:
+    system = system_of(campaign)
+    if again := find_world(system.world, system.world_sha256).again_words:
         raise UsageError(f'{path}: {again}, so its scenes cannot be compared')
     if not campaign.judged:
         raise UsageError(f'{path}: no run was judged, so it has no scenes to compare')
-    judging = campaign.judging
-    if not judging.specs:
-        raise UsageError(f'{path}: its ledger does not record the formulas')
+    if not campaign.judging.specs:
+        raise UsageError(f'{path}: its record does not have the formulas')
     scenes = []
     for row in spread_evenly(campaign.judged, runs):
         scenario, exact = campaign.scenario(row)
         scenes.append(Scene(row=row, scenario=scenario, exact=exact))
+    outcomes = {row.index: row.outcome for row in campaign.rows}
     return SceneSet(
-        source=str(path), scenes=tuple(scenes), gains=dict(campaign.gains), world=world,
-        judging=_headline(judging), controller=str(campaign.facts.get('controller', STEERING)),
-        timing=campaign.timing, world_sha256=package,
-        fixed=_fixed(campaign.rows, campaign.planned_runs),
+        source=str(path), scenes=tuple(scenes),
+        system=dataclasses.replace(system, judging=_headline(system.judging)),
+        fixed=sample_size_was_fixed(outcomes, campaign.planned_runs),
     )
-
-
-def _fixed(rows: Sequence[RunRow], planned: range | None) -> bool:
-    return sample_size_was_fixed({row.index: row.outcome for row in rows}, planned)
-
-
-def _headline(judging: Judging) -> Judging:
-    return dataclasses.replace(judging, specs=judging.specs[:1])
 
 
 def _of_table(path: Path, runs: int | None) -> SceneSet:
@@ -175,7 +188,7 @@ def _of_table(path: Path, runs: int | None) -> SceneSet:
     ]
     return SceneSet(
         source=str(path), scenes=spread_evenly(scenes, runs),
-        judging=Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',)),
+        system=_plain_system(Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',))),
         fixed=sample_size_was_fixed(outcomes, None),
     )
 
@@ -211,8 +224,11 @@ def _of_run(path: Path) -> SceneSet:
         raise UsageError(f'{path}: its verdict is not recorded')
     return SceneSet(
         source=str(path), scenes=(Scene(row=row, scenario=run.scenario, exact=True),),
-        judging=Judging(specs=run.specs[:1]), gains=dict(run.gains), controller=run.controller,
-        timing=run.timing.words, world=run.world, world_sha256=run.world_fingerprint,
+        system=TrialSystem(
+            perception=GroundTruth.word, judging=Judging(specs=run.specs[:1]),
+            gains=dict(run.gains), controller=run.controller, timing=run.timing, world=run.world,
+            world_sha256=run.world_fingerprint,
+        ),
     )
 
 
@@ -250,14 +266,10 @@ def scenes_of_program(
                 **scenario.to_human(),
             )
             scenes.append(Scene(row=row, scenario=scenario, exact=True))
-    return SceneSet(source=program, scenes=tuple(scenes), judging=_headline(judging))
+    return SceneSet(source=program, scenes=tuple(scenes), system=_plain_system(judging))
 
 
-Results = dict[str, dict[str, Trial]]
-"""Results by fingerprint of the network and run."""
-
-
-class SharedTrials:
+class SharedTrials(TrialRecord[Trial]):
     """Runs of several networks on the same scenes, recorded in a folder. A context manager."""
 
     def __init__(self, scenes: SceneSet, out: Path) -> None:
@@ -266,48 +278,8 @@ class SharedTrials:
         Raises:
             UsageError: it contains something else, or another process uses it.
         """
+        super().__init__(out, scenes.settings, Trial, 'has runs of other scenes or settings')
         self.scenes = scenes
-        self.results: Results = {}
-        check_controller(scenes.controller, scenes.gains)
-        path = out / TRIALS_NAME
-        try:
-            if out.is_dir() and not path.exists() and any(out.iterdir()):
-                raise UsageError(f'--out {out}: contains something else; choose another folder')
-            make_folder(out)
-            self._journal: Journal = open_journal(path, 'taxinet compare or bisect')
-            sync_folder(out)
-        except OSError as error:
-            raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error
-        self._read(out, path)
-
-    def _read(self, out: Path, path: Path) -> None:
-        digest = self.scenes.digest
-        if not self._journal.events:
-            self._journal.append({'event': 'scenes', 'digest': digest})
-            self._journal.sync()
-            return
-        for number, event in enumerate(self._journal.events, start=1):
-            try:
-                if event['event'] == 'scenes':
-                    same = event['digest'] == digest
-                    if not same:
-                        self._journal.close()
-                        raise UsageError(
-                            f'--out {out}: has runs of other scenes or settings; choose another '
-                            'folder'
-                        )
-                    continue
-                trial = Trial.from_json(event['trial'])
-                if trial.passed is not None:
-                    self.results.setdefault(event['network'], {})[trial.run_id] = trial
-            except (KeyError, TypeError, ValueError) as error:
-                raise damaged_line(path, number, str(error)) from error
-
-    def __enter__(self) -> SharedTrials:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._journal.close()
 
     def drive(
         self, network: str, wanted: Sequence[str] | None = None, *, workers: int,
@@ -330,13 +302,7 @@ class SharedTrials:
             UsageError: there is no such network.
             InfraError: a worker died.
         """
-        fingerprint = check_perception(network)
-        done = self.results.setdefault(fingerprint, {})
-        setup = TrialSetup(
-            perception=network, judging=self.scenes.judging, gains=self.scenes.gains,
-            controller=self.scenes.controller, timing=self.scenes.timing, world=self.scenes.world,
-            world_sha256=self.scenes.world_sha256,
-        )
+        fingerprint, done = check_perception(network), self._results(network)
 
         def tasks() -> Iterator[Task]:
             for scene in self.scenes.scenes:
@@ -345,45 +311,38 @@ class SharedTrials:
                     continue
                 if interrupted():
                     return
-                yield Task(
-                    run_id=name, scenario=scene.scenario, word=AS_RECORDED,
-                    seed=(scene.row.seed, scene.row.index), exact=scene.exact,
-                )
+                yield scene.task()
 
-        waiting = list(tasks())
-        if waiting:
-            for trial in run_trials(_until(waiting, interrupted), setup, workers):
-                event = {'event': 'trial', 'network': fingerprint, 'trial': trial.to_json()}
-                self._journal.append(event)
-                self._journal.sync()
-                done[trial.run_id] = trial
-                on_trial()
-        return dict(done)
+        for trial in run_trials(tasks(), self.scenes.system_with(network), workers):
+            self.keep(f'{fingerprint} {trial.run_id}', trial)
+            done[trial.run_id] = trial
+            on_trial()
+        return done
+
+    def _results(self, network: str) -> dict[str, Trial]:
+        fingerprint, known = check_perception(network), self.done
+        return {
+            name: trial for scene in self.scenes.scenes
+            if (trial := known.get(f'{fingerprint} {(name := scene.row.run_id)}')) is not None
+        }
 
     def table(self, network: str) -> pd.DataFrame:
         """Results of a network as a campaign's table; runs that were not judged are in it too."""
-        return table_of(self.rows(network), (self.scenes.judging.headline,))
+        return table_of(self.rows(network), (self.scenes.system.judging.headline,))
 
     def rows(self, network: str) -> list[RunRow]:
         """Results of a network, by scene; runs that were not judged are among them."""
         fingerprint = check_perception(network)
-        spec = self.scenes.judging.headline
+        spec = self.scenes.system.judging.headline
         rows: list[RunRow] = []
+        results = self._results(network)
         for place, scene in enumerate(self.scenes.scenes):
-            trial = self.results.get(fingerprint, {}).get(scene.row.run_id)
-            if trial is not None:
+            if (trial := results.get(scene.row.run_id)) is not None:
                 row = _result_row(scene.row, trial, network, fingerprint, spec)
                 # Gaps would say that runs are missing; these scenes are all that were asked for.
                 row = dataclasses.replace(row, index=place) if self.scenes.fixed else row
                 rows.append(row)
         return rows
-
-
-def _until(tasks: Sequence[Task], interrupted: Callable[[], bool]) -> Iterator[Task]:
-    for task in tasks:
-        if interrupted():
-            return
-        yield task
 
 
 def _result_row(row: RunRow, trial: Trial, network: str, fingerprint: str, spec: str) -> RunRow:

@@ -14,6 +14,7 @@ from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario_fields import by_value
+from taxinet_ros.core.system import System
 from taxinet_ros.core.world import find_world, world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, read_entry
@@ -154,6 +155,11 @@ def missing_packages_named(out: Path | None) -> Iterator[None]:
                         'installed any more'
                     ) from error
         raise
+
+
+def recorded_system(options: CampaignOptions, facts: Mapping[str, Any]) -> System:
+    """What drives in the runs of a campaign, with the hashes of its facts."""
+    return options.system(facts['controller_sha256'], recorded_world(facts)[1])
 
 
 def package_words(kind: str, told: Mapping[str, str]) -> str:

@@ -17,10 +17,9 @@ from taxinet_ros.analysis.network_check import (
 )
 from taxinet_ros.campaign.options import DEFAULT_JUDGING
 from taxinet_ros.cli.checked import tell_doubts
-from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.perception.perception import check_perception, network_doubts
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.processes.interrupts import interrupts
 
 _SEVERITY = (ExitCode.VIOLATED, ExitCode.INCOMPLETE, ExitCode.OK)
 
@@ -52,22 +51,12 @@ def run_check(
     drawn = [scene.scenario for scene in scenes]
     named = () if quiet else networks
     tell_doubts(line for network in named for line in network_doubts(network, drawn))
-    asked: list[bool] = []
-    found: list[NetworkCheck] = []
-    with (
-        stage_bars(Console(highlight=False, stderr=True, quiet=quiet)) as show,
-        interrupts(lambda: asked.append(True)),
-    ):
-        number, most = 0, len(networks) * len(scenes)
-
-        def count() -> None:
-            nonlocal number
-            number += 1
-            if not quiet:
-                show('scenes', number, most)
-
-        found += check_networks(
-            networks, scenes, workers=workers, on_trial=count, interrupted=lambda: bool(asked))
+    bars = Console(highlight=False, stderr=True, quiet=quiet)
+    with trial_bar(bars, 'scenes', len(networks) * len(scenes)) as (count, interrupted):
+        found = list(check_networks(
+            networks, scenes, workers=workers, on_trial=(lambda: None) if quiet else count,
+            interrupted=interrupted,
+        ))
     if len(found) < len(networks):
         told.print('interrupted; nothing is kept', soft_wrap=True)
         return ExitCode.INTERRUPTED

@@ -31,7 +31,6 @@ from taxinet_ros.analysis.runs.campaign import (
     runs_of,
 )
 from taxinet_ros.campaign.options import DEFAULT_ROOT, LOOP, make_options, make_out
-from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME
 from taxinet_ros.campaign.past_runs.shared_scenes import (
     SceneSet,
     SharedTrials,
@@ -39,18 +38,18 @@ from taxinet_ros.campaign.past_runs.shared_scenes import (
     scenes_of_program,
 )
 from taxinet_ros.campaign.record.facts import is_campaign
-from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_table import write_table
-from taxinet_ros.processes.interrupts import interrupts
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
 BISECT_NAME = 'bisect.json'
 BEFORE, AFTER = 'before.parquet', 'after.parquet'
-_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, TRIALS_NAME, 'compared.png', BISECT_NAME}
+_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, 'compared.png', BISECT_NAME}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,14 +130,15 @@ def run_compare(options: CompareOptions) -> int:
 
 
 def _is_campaign(word: str) -> bool:
-    path = Path(word)
-    return is_campaign(path) or word.endswith('.parquet')
+    return is_campaign(Path(word)) or word.endswith('.parquet')
 
 
 def _folder(options: CompareOptions, *words: str) -> Path:
     names = '-'.join(Path(word.rstrip('/')).stem.replace(':', '-') for word in words)
     out = options.out or DEFAULT_ROOT / f'compare-{names}'
-    if out.is_dir() and {path.name for path in out.iterdir()} - _OURS:
+    there = {path.name for path in out.iterdir()} if out.is_dir() else set()
+    # Beside a record may be its journal, its lock and a damaged one.
+    if {name for name in there if RECORD_NAME not in name} - _OURS:
         raise UsageError(f'--out {out}: contains something else; choose another folder')
     make_out(out)
     return out
@@ -158,33 +158,25 @@ def _scenes(options: CompareOptions, word: str, out: Path) -> SceneSet:
     )
     scenes = scenes_of_program(
         word, runs=asked.runs, seed=asked.seed, judging=asked.judging, overrides=asked.overrides)
-    return replace(
-        scenes, gains=asked.gains, controller=asked.controller, timing=asked.timing.words,
+    return replace(scenes, system=replace(
+        scenes.system, gains=asked.gains, controller=asked.controller, timing=asked.timing,
         world=asked.world, world_sha256=find_world(asked.world).fingerprint,
-    )
+    ))
 
 
 def _driven(
     scenes: SceneSet, networks: Sequence[str], out: Path, workers: int, console: Console
 ) -> list[CampaignRuns] | None:
     """Drive the networks through the scenes, and write their tables; None if interrupted."""
-    asked: list[bool] = []
     tables: list[CampaignRuns] = []
     total = len(networks) * len(scenes.scenes)
     with (
-        SharedTrials(scenes, out) as trials, stage_bars(console) as show,
-        interrupts(lambda: asked.append(True)),
+        SharedTrials(scenes, out) as trials,
+        trial_bar(console, 'runs', total) as (count, interrupted),
     ):
-        number = 0
-
-        def count() -> None:
-            nonlocal number
-            number += 1
-            show('runs', number, max(total, number))
-
         for network, name in zip(networks, (BEFORE, AFTER), strict=True):
             found = trials.drive(
-                network, workers=workers, on_trial=count, interrupted=lambda: bool(asked))
+                network, workers=workers, on_trial=count, interrupted=interrupted)
             if len(found) < len(scenes.scenes):
                 return None
             frame = trials.table(network)
@@ -252,24 +244,17 @@ def run_bisect(options: BisectOptions) -> int:
             )
     scenes = scenes_of(options.scene, options.runs)
     out = options.out or DEFAULT_ROOT / f'bisect-{options.scene.resolve().stem}'
-    asked: list[bool] = []
+    total = len(options.networks) * len(scenes.scenes)
     with (
-        SharedTrials(scenes, out) as trials, stage_bars(console) as show,
-        interrupts(lambda: asked.append(True)),
+        SharedTrials(scenes, out) as trials,
+        trial_bar(console, 'runs', total) as (count, interrupted),
     ):
-        number, most = 0, len(options.networks) * len(scenes.scenes)
-
-        def count() -> None:
-            nonlocal number
-            number += 1
-            show('runs', number, most)
-
         def drive(place: int, names: Sequence[str]) -> dict[str, bool | None]:
             done = trials.drive(
                 options.networks[place], names, workers=options.workers, on_trial=count,
-                interrupted=lambda: bool(asked),
+                interrupted=interrupted,
             )
-            if asked:
+            if interrupted():
                 raise KeyboardInterrupt
             return {name: done[name].passed for name in names}
 

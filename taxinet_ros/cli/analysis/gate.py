@@ -40,7 +40,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.cli.checked import check_output, tell_doubts
-from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.perception.perception import check_perception, network_doubts
 from taxinet_ros.core.provenance import differences
@@ -48,7 +48,6 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.sealed_table import write_table
-from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.version import __version__
 
 INCONCLUSIVE_WORDS = {
@@ -178,7 +177,7 @@ def _write_documents(judged: _Judged, junit: Path) -> None:
 
 def _judged(asked: GateInput) -> _Judged | None:
     """The runs to judge; None if driving a network was interrupted."""
-    recorded = is_campaign(asked.campaign) or asked.campaign.is_dir()
+    recorded = asked.campaign.is_dir()
     if asked.baseline is not None and not recorded:
         return _driven(asked, str(asked.campaign), asked.baseline)
     for option, given in (('--out', asked.out), ('--workers', asked.workers)):
@@ -198,26 +197,17 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
     """The network's runs in the baseline's scenes, finished ones kept in the folder."""
     fingerprint = check_perception(network)
     scenes = scenes_of(baseline)
+    system = scenes.system
     out = asked.out or DEFAULT_ROOT / f'gate-{Path(network).stem.replace(":", "-")}'
     console = Console(highlight=False, stderr=True)
-    asked_to_stop: list[bool] = []
     tell_doubts(network_doubts(network, (scene.scenario for scene in scenes.scenes)))
     with (
-        SharedTrials(scenes, out) as trials, stage_bars(console) as show,
-        interrupts(lambda: asked_to_stop.append(True)),
+        SharedTrials(scenes, out) as trials,
+        trial_bar(console, 'runs', len(scenes.scenes)) as (count, interrupted),
     ):
-        number = 0
-
-        def count() -> None:
-            nonlocal number
-            number += 1
-            show('runs', number, len(scenes.scenes))
-
         done = trials.drive(
-            network, workers=asked.workers or 2, on_trial=count,
-            interrupted=lambda: bool(asked_to_stop),
-        )
-        if len(done) < len(scenes.scenes) and asked_to_stop:
+            network, workers=asked.workers or 2, on_trial=count, interrupted=interrupted)
+        if len(done) < len(scenes.scenes) and interrupted():
             console.print('interrupted; the same command goes on', soft_wrap=True)
             return None
         rows = tuple(trials.rows(network))
@@ -231,9 +221,9 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
         planned=None if scenes.fixed else _planned(baseline, rows), facts={
             'taxinet_ros_version': __version__, 'baseline': str(baseline),
             'program': rows[0].program, 'seed': rows[0].seed, 'perception': network,
-            'perception_sha256': fingerprint, 'controller': scenes.controller,
-            'gains': dict(scenes.gains), 'timing': scenes.timing, 'world': scenes.world,
-            **scenes.judging.facts(),
+            'perception_sha256': fingerprint, 'controller': system.controller,
+            'gains': dict(system.gains), 'timing': system.timing.words, 'world': system.world,
+            **system.judging.facts(),
         },
     )
     write_table(out / PARQUET_NAME, judged.table())

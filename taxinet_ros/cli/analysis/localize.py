@@ -20,11 +20,12 @@ from taxinet_ros.analysis.fault_localisation import (
 )
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, LocalizeOptions, localize
+from taxinet_ros.campaign.past_runs.localisation import LocalizeOptions, localize
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -87,7 +88,7 @@ def _write(found: Localisation, campaign: RecordedCampaign, out: Path) -> list[P
             open_recording(campaign.folder / case.row.bag).check_is(case.row.run_id)
     report = localisation_report(found, worst, campaign.folder)
     path, tables = out / JSON_NAME, write_cases(found, out)
-    write_sealed(path, localisation_json(found), tables, [out / TRIALS_NAME])
+    write_sealed(path, localisation_json(found), [*tables, out / RECORD_NAME])
     pictures = [
         write_png(picture, out, LIGHT) for section in report.sections
         for picture in section.pictures

@@ -21,7 +21,7 @@ from taxinet_ros.campaign.audit import Auditor
 from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.loop_run import Loop, campaign_loop
 from taxinet_ros.campaign.options import GRAPH, LOOP, CampaignOptions
-from taxinet_ros.campaign.record.facts import recorded_world
+from taxinet_ros.campaign.record.facts import recorded_system
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.sampler import MOST_LAG
 from taxinet_ros.campaign.summary import (
@@ -36,6 +36,7 @@ from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.camera import camera
 from taxinet_ros.core.perception.perception import GroundTruth
+from taxinet_ros.core.system import System
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import EXTERNAL, command_of
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
@@ -233,10 +234,10 @@ class _Graphs:
         self._options = options
         self._ahead = contextlib.ExitStack()
         self._made: Graph | None = None
-        self._sha256 = {
-            'controller': check_controller(options.controller, options.gains, graph=True),
-            'world': find_world(options.world).fingerprint,
-        }
+        self._system = options.system(
+            check_controller(options.controller, options.gains, graph=True),
+            find_world(options.world).fingerprint,
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -270,11 +271,9 @@ class _Graphs:
         Raises:
             UsageError: a file of them has changed.
         """
-        recorded = {
-            'controller': facts['controller_sha256'], 'world': recorded_world(facts)[1],
-        }
-        for role, sha256 in recorded.items():
-            if sha256 != self._sha256[role]:
+        recorded = recorded_system(self._options, facts)
+        for role in ('controller', 'world'):
+            if getattr(recorded, f'{role}_sha256') != getattr(self._system, f'{role}_sha256'):
                 word = getattr(self._options, role)
                 raise UsageError(f'{role} {word} changed while the campaign was starting')
 
@@ -292,26 +291,24 @@ class _Graphs:
     def _new(self) -> contextlib.AbstractContextManager[Graph]:
         options = self._options
         if options.engine == LOOP:
-            return _loop(options, self._sha256['controller'], self._sha256['world'])
+            return _loop(options, self._system)
         from taxinet_ros.nodes.graph.runner import campaign_graph, composed_graph, process_graph
 
-        graph = campaign_graph(options, self._sha256['controller'], self._sha256['world'])
+        graph = campaign_graph(options, self._system)
         if options.processes:
             return process_graph(graph, options.out / 'logs')
         return composed_graph(graph)
 
 
 @contextlib.contextmanager
-def _loop(
-    options: CampaignOptions, controller_sha256: str, world_sha256: str
-) -> Iterator[Graph]:
+def _loop(options: CampaignOptions, system: System) -> Iterator[Graph]:
     """The loop without ROS, used as a graph; it is this process that runs."""
     def audit() -> list[str]:
         from taxinet_ros.nodes.graph.worker import audit_command
 
-        return audit_command(options, controller_sha256, world_sha256)
+        return audit_command(options, system)
 
-    loop = Loop(campaign_loop(options, controller_sha256, world_sha256))
+    loop = Loop(campaign_loop(options, system))
     with Auditor(audit, options.out, options.audit_percent) as auditor:
         yield _LoopGraph(loop, auditor)
 

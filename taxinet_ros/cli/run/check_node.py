@@ -19,9 +19,17 @@ from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import COMMAND, command_of, names_user_code
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.graph.node_process import NodeProcess
-from taxinet_ros.nodes.node_check.clauses import Finding, Status, judge
-from taxinet_ros.nodes.node_check.driver import CheckOptions, Starter, check_node, command_starter
-from taxinet_ros.nodes.node_check.record import ROLES, Record, Role
+from taxinet_ros.nodes.node_check import (
+    ROLES,
+    CheckOptions,
+    Finding,
+    Report,
+    Role,
+    Starter,
+    Status,
+    check_node,
+    command_starter,
+)
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 
@@ -33,16 +41,6 @@ def run_check(
     patience_s: float, log: Path | None, as_json: bool,
 ) -> int:
     """Drive a node and print which clauses it keeps and breaks.
-
-    Args:
-        command: program and arguments as a shell splits them, or ``FILE.py:NAME``.
-        role: ``perception``, ``controller``, or None to detect it.
-        external: the node is started by the user.
-        domain: ROS domain; None for a free one.
-        frames: messages in an ordinary run.
-        patience_s: timeout for an answer [s].
-        log: file for the node's output; None: discard it.
-        as_json: print JSON.
 
     Returns:
         Exit code: 0, it keeps all clauses tried.
@@ -69,14 +67,12 @@ def run_check(
             start=None if command is None else _starter(command, role, Path(scratch)),
             role=role, domain=domain, frames=frames, patience_s=patience_s, log=printed,
         )
-        record = check_node(options, _say)
-        findings = judge(record)
-        print(_json(record, findings) if as_json else _words(record, findings), flush=True)
+        report = check_node(options, _say)
+        print(_json(report) if as_json else _words(report), flush=True)
         if log is not None:
             shutil.copyfile(printed, log)
-    broken = [one.clause.name for one in findings if one.status is Status.FAIL]
-    if broken:
-        raise UsageError(f'check-node: the {record.role.word} breaks: {", ".join(broken)}')
+    if report.broken:
+        raise UsageError(f'check-node: the {report.role.word} breaks: {", ".join(report.broken)}')
     return ExitCode.OK
 
 
@@ -124,7 +120,8 @@ def _start_ours(
     )
 
 
-def _words(record: Record, findings: list[Finding]) -> str:
+def _words(report: Report) -> str:
+    findings = report.findings
     count = Counter(one.status for one in findings)
     left: dict[str, list[str]] = {}
     for one in findings:
@@ -134,7 +131,7 @@ def _words(record: Record, findings: list[Finding]) -> str:
         *(_line(one) for one in findings if one.status is not Status.NOT_TRIED),
         *(_wrapped(f'{Status.NOT_TRIED} ', f'{", ".join(names)}: {why}')
           for why, names in left.items()),
-        f'{record.role.word}: {count[Status.PASS]} kept, {count[Status.FAIL]} broken, '
+        f'{report.role.word}: {count[Status.PASS]} kept, {count[Status.FAIL]} broken, '
         f'{count[Status.NOT_TRIED]} not tried',
     ])
 
@@ -153,14 +150,14 @@ def _wrapped(head: str, text: str) -> str:
     )
 
 
-def _json(record: Record, findings: list[Finding]) -> str:
+def _json(report: Report) -> str:
     return json.dumps({
-        'role': record.role.word,
-        'kept': not any(one.status is Status.FAIL for one in findings),
+        'role': report.role.word,
+        'kept': not report.broken,
         'clauses': [
             {
                 'clause': one.clause.name, 'status': str(one.status), 'expected': one.expected,
                 'came': one.came, 'mend': one.clause.mend,
-            } for one in findings
+            } for one in report.findings
         ],
     }, indent=2)

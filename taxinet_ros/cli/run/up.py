@@ -61,14 +61,22 @@ class UpView:
     def __init__(self, console: Console, options: UpOptions) -> None:
         """Show it on ``console``."""
         self._console, self._options = console, options
+        self._supervisor: Supervisor | None = None
 
     def say(self, line: str) -> None:
         """Print a line."""
         self._console.print(line, soft_wrap=True, markup=False)
 
+    def stop(self) -> None:
+        """For a signal: have the graph end, or what starts it."""
+        if self._supervisor is None:
+            raise KeyboardInterrupt
+        self._supervisor.stop()
+
     @contextlib.contextmanager
     def watching(self, supervisor: Supervisor, domain: int) -> Iterator[None]:
         """Print where the graph runs; on a terminal, show a live table."""
+        self._supervisor = supervisor
         for line in self._heading(domain):
             self.say(line)
         if not self._console.is_terminal:
@@ -163,23 +171,7 @@ def make_up_options(
     latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
     namespace: str = '', world: str = KMWH,
 ) -> UpOptions:
-    """Validate the options.
-
-    Args:
-        perception: as for :class:`.graph.GraphOptions`.
-        controller: likewise.
-        out: new folder for bags and logs; None: one below ``bags/``.
-        record: whether there is a recorder.
-        images: runs whose camera frames go into the bags.
-        settings: ``steering.<gain>=value``.
-        restart: a word of :class:`Restart`.
-        domain: ROS domain; None: the environment's, else a free one.
-        silent_s: silence after which a node is reported [s].
-        latency: ``NAME=LATENCY`` of perception or controller.
-        free: simulated time follows the wall clock.
-        real_time_factor: with ``free``, simulated seconds per wall-clock second, or ``max``.
-        namespace: namespace of every name in the graph; '' for none.
-        world: name of the world of the runs.
+    """Validate the options of ``taxinet up``, as its command line has them.
 
     Raises:
         UsageError: an option is invalid.
@@ -227,16 +219,9 @@ def run_up(options: UpOptions) -> int:
         Exit code: that of the interrupt that stopped it; 4 if it could not be kept up.
     """
     view = UpView(Console(highlight=False), options)
-    started: list[Supervisor] = []
-
-    def stop() -> None:
-        if not started:
-            raise KeyboardInterrupt
-        started[-1].stop()
-
-    with interrupts(stop):
+    with interrupts(view.stop):
         try:
-            run_standing_graph(options, view, started.append)
+            run_standing_graph(options, view.say, view.watching)
             view.say('ended')
         except KeyboardInterrupt:
             view.say('killed')

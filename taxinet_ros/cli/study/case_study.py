@@ -2,68 +2,110 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+import dataclasses
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import Console
 
 from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, GRAPH, check_new, make_out, new_folder
+from taxinet_ros.cli.options import (
+    AuditOption,
+    ClusterOption,
+    EngineOption,
+    given_options,
+    refuse_given,
+)
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.processes.child import module_command
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.config import (
-    STUDY_NAME,
     StudyConfig,
     read_config,
-    read_study,
     resized,
     scaled,
     shipped_config,
-    write_study,
+    study_of,
 )
-from taxinet_ros.study.stages.log import StageLog, read_records
 from taxinet_ros.study.stages.plan import stages, stages_until
 from taxinet_ros.study.stages.progress import list_lines, study_heading
+from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options, read_stages
 from taxinet_ros.study.stages.run import StudyRun
-from taxinet_ros.study.stages.stage import Stage, with_engine
+from taxinet_ros.study.stages.stage import with_engine
+
+_COMMAND = 'case-study'
 
 
-@dataclass(frozen=True, kw_only=True)
-class CaseStudyOptions:
-    """Options of ``taxinet case-study``.
+def case_study(
+    context: typer.Context,
+    config: Annotated[
+        Path | None, typer.Option(metavar='FILE', help='YAML file of a study (default: the shipped '
+        'one)')
+    ] = None,
+    scale: Annotated[
+        float | None,
+        typer.Option(help='scale of the numbers of images and runs: 1 as in the paper, 0.02 for a '
+        'smoke test of minutes'),
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help='evaluation scenes per network')
+    ] = None,
+    images: Annotated[
+        int | None, typer.Option(min=1, help='training images per network')
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=8, help='worker processes; same results')
+    ] = None,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
+    cluster: ClusterOption = None,
+    out: Annotated[Path | None, typer.Option(help='folder of the study; must be new')] = None,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue the study in --out, with its own sizes')
+    ] = False,
+    until: Annotated[
+        str | None, typer.Option(metavar='STAGE', help='last stage to run; --list names them')
+    ] = None,
+    listed: Annotated[
+        bool, typer.Option('--list', help='print the stages, their commands and their progress')
+    ] = False,
+    report_only: Annotated[
+        bool, typer.Option('--report-only', help='only write the report of the stages done in '
+        '--out')
+    ] = False,
+    tables: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help="write the report from the tables in DIR (such as the "
+        "shipped bags/), and check the paper's statements against them; runs nothing"),
+    ] = None,
+) -> None:
+    """Run the paper's case study: falsify, debug, retrain, learn, report.
 
-    Attributes:
-        config: configuration file; None: the shipped one, or with ``resume`` the study's own.
-        scale, runs, images, workers: sizes; None: the file's.
-        out: folder of the study, or None for a new one.
-        resume: continue the study in ``out``.
-        until: name of the last stage to run; None for all.
-        listed: print the stages only.
-        report_only: only write the report of the stages done.
-        tables: folder of tables to write the report of, or None.
-        engine, audit: what makes the runs, and share of them to audit as text or None.
-        cluster: a Dask cluster that makes the runs of campaigns, or None.
+    Every stage does what a printed taxinet command does. Finished stages whose inputs are
+    unchanged are kept; Ctrl-C ends a stage in order, and --resume continues. Exit codes: 0 done,
+    130 interrupted, else that of the failed stage.
     """
-
-    config: Path | None = None
-    scale: float | None = None
-    runs: int | None = None
-    images: int | None = None
-    workers: int | None = None
-    out: Path | None = None
-    resume: bool = False
-    until: str | None = None
-    listed: bool = False
-    report_only: bool = False
-    tables: Path | None = None
-    engine: str = GRAPH
-    audit: str | None = None
-    cluster: str | None = None
+    if tables is not None or report_only:
+        what, taken = ('--report-only', {'report_only', 'out'}) if tables is None else (
+            '--tables', {'tables', 'out', 'config'})
+        refuse_given(context, given_options(context).keys() - taken,
+                     f'has no effect with {what}, which runs nothing')
+        raise typer.Exit(report_case_study(out, config=config, tables=tables))
+    raise typer.Exit(run_case_study(
+        config=config, scale=scale, runs=runs, images=images, workers=workers, out=out,
+        resume=resume, until=until, listed=listed, engine=engine, audit=audit, cluster=cluster,
+    ))
 
 
-def run_case_study(options: CaseStudyOptions) -> int:
-    """Run the study or the requested part, and print progress.
+def run_case_study(
+    *, config: Path | None = None, scale: float | None = None, runs: int | None = None,
+    images: int | None = None, workers: int | None = None, out: Path | None = None,
+    resume: bool = False, until: str | None = None, listed: bool = False, engine: str = GRAPH,
+    audit: str | None = None, cluster: str | None = None,
+) -> int:
+    """Run the study or the requested part, and print progress; see :func:`case_study`.
 
     Returns:
         Exit code: 0 done, 130 interrupted, else that of the stage that failed.
@@ -71,102 +113,74 @@ def run_case_study(options: CaseStudyOptions) -> int:
     Raises:
         UsageError: bad input.
     """
-    if options.tables is not None:
-        return _report_tables(options, options.tables)
-    if options.report_only:
-        return _report(options)
+    if resume and out is None:
+        raise UsageError('--resume: name the case study to continue with --out')
+    begun = resume or (listed and out is not None and (out / RECORD_NAME).exists())
+    if begun and out is not None and config is None and scale is None:
+        study = _begun(out, '--resume' if resume else '--list')
+    else:
+        study = scaled(read_config(config or shipped_config()), 1.0 if scale is None else scale)
+    study = resized(study, runs=runs, images=images, workers=workers)
+    where = check_cluster(cluster) if cluster else ''
+    wanted = with_engine(stages(study), engine, audit, where)
+    if until:
+        wanted = stages_until(wanted, until)
     console = Console(highlight=False)
-    config = _config(options)
-    where = check_cluster(options.cluster) if options.cluster else ''
-    found = with_engine(stages(config), options.engine, options.audit, where)
-    wanted = stages_until(found, options.until) if options.until else found
-    if options.listed:
-        out = options.out or Path('OUT')
-        for line in list_lines(wanted, read_records(out), out):
-            console.print(line, soft_wrap=True, markup=False)
-        return ExitCode.OK
-    from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
-    check_workers(config.workers)
-    out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
-    if not options.resume:
-        check_new(out)
-    return _run(config, wanted, out, console)
-
-
-def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Console) -> int:
     def show(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
+    if listed:
+        for line in list_lines(wanted, read_stages(out or Path('OUT')), out or Path('OUT')):
+            show(line)
+        return ExitCode.OK
+    from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
+
+    check_workers(study.workers)
+    out = out or new_folder(DEFAULT_ROOT / 'case-study')
+    if not resume:
+        check_new(out)
     make_out(out)
-    if not (out / STUDY_NAME).exists():
-        write_study(out, config)  # first, so that the study can be resumed from here on
-    with StageLog(out) as log:
-        write_study(out, config)
-        show(study_heading(config, wanted, out))
-        show(f'every command runs in {out}')
-        run = StudyRun(
-            out, wanted, log=log, command=stage_command(), workers=config.workers, show=show,
-        )
-        return run.run()
+    with open_study(out, show) as record:
+        record.put(OPTIONS, _COMMAND, dataclasses.asdict(study))
+        show(study_heading(study, wanted, out))
+        show(f'every stage runs in {out}')
+        return StudyRun(
+            out, wanted, record=record, work=call_stage, workers=study.workers, show=show,
+        ).run()
 
 
-def _config(options: CaseStudyOptions) -> StudyConfig:
-    if options.resume and options.out is None:
-        raise UsageError('--resume: name the case study to continue with --out')
-    begun = options.out is not None and (
-        options.resume or (options.listed and (options.out / STUDY_NAME).exists())
-    )
-    if begun and options.config is None and options.scale is None:
-        assert options.out is not None
-        config = read_study(options.out, '--resume' if options.resume else '--list')
-    else:
-        config = read_config(options.config or shipped_config())
-        config = scaled(config, 1.0 if options.scale is None else options.scale)
-    return resized(
-        config, runs=options.runs, images=options.images, workers=options.workers
-    )
+def _begun(out: Path, option: str) -> StudyConfig:
+    """The configuration of the study in a folder."""
+    return study_of(read_options(out, _COMMAND, option))
 
 
-def _report(options: CaseStudyOptions) -> int:
-    _check_alone(options, '--report-only', taken=('out',))
-    if options.out is None:
+def report_case_study(
+    out: Path | None, *, config: Path | None = None, tables: Path | None = None
+) -> int:
+    """Write the report of the stages done in a folder, or of tables into a new one.
+
+    Args:
+        out: folder of the study.
+        config: configuration of the tables' study; None for the shipped one.
+        tables: folder of the tables, or None.
+
+    Returns:
+        Exit code: 0.
+
+    Raises:
+        UsageError: bad input.
+    """
+    if tables is not None:
+        study = read_config(config or shipped_config())
+        out = out or new_folder(DEFAULT_ROOT / 'case-study')
+        check_new(out)
+    elif out is None:
         raise UsageError('--report-only: name the case study with --out')
-    config = read_study(options.out, '--report-only')
+    else:
+        study = _begun(out, '--report-only')
     from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
 
-    for line in write_study_report(config, options.out):
+    for line in write_study_report(study, out, tables):
         Console(highlight=False).print(line, soft_wrap=True, markup=False)
     return ExitCode.OK
-
-
-def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
-    """Write the report of the tables to a new folder."""
-    _check_alone(options, f'--tables {tables}', taken=('out', 'config'))
-    config = read_config(options.config or shipped_config())
-    out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
-    check_new(out)
-    from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
-
-    for line in write_study_report(config, out, tables):
-        Console(highlight=False).print(line, soft_wrap=True, markup=False)
-    return ExitCode.OK
-
-
-def _check_alone(options: CaseStudyOptions, what: str, *, taken: Collection[str]) -> None:
-    """Refuse options other than those taken by one that only writes a report."""
-    given = {
-        '--config': options.config, '--scale': options.scale, '--runs': options.runs,
-        '--images': options.images, '--workers': options.workers, '--until': options.until,
-        '--resume': options.resume, '--list': options.listed,
-        '--engine': options.engine != GRAPH, '--audit': options.audit, '--cluster': options.cluster,
-        '--report-only': options.report_only and not what.startswith('--report-only'),
-    }
-    for name, value in given.items():
-        if value not in (None, False) and name.removeprefix('--') not in taken:
-            raise UsageError(f'{what}: runs nothing; leave {name} out')
-
-
-def stage_command() -> list[str]:
-    """Command line of a ``taxinet`` that ends when this process dies for any reason."""
-    return module_command('taxinet_ros.cli.stage_process')

@@ -3,45 +3,117 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Any
 
+import typer
 from rich.console import Console
 
 from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.campaign.rates import rate
-from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.cli.options import (
+    AuditOption,
+    ClusterOption,
+    EngineOption,
+    VariedOption,
+    given_options,
+    refuse_given,
+)
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.study.improve.acceptance import Decision
-from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, START, Improvement, Round, RoundLedger
-from taxinet_ros.study.improve.options import ImproveOptions, read_options, write_options
-from taxinet_ros.study.stages.log import StageLog
+from taxinet_ros.study.improve.loop import BEST, START, Improvement, Round
+from taxinet_ros.study.improve.options import ImproveOptions
+from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 
+ROUNDS_NAME = 'rounds.json'
+"""The rounds of the record, to read."""
+_COMMAND = 'improve'
 
-def run_improve(
+
+def improve(
+    context: typer.Context,
+    program: Annotated[
+        str, typer.Argument(metavar='[SCENARIO]', help='program whose scenes the network should '
+        'handle')
+    ] = 's_falsif',
+    start: Annotated[str, typer.Option(help='initial network: word or file')] = 'taxinet',
+    rounds: Annotated[int, typer.Option(help='most rounds')] = 3,
+    budget: Annotated[
+        int, typer.Option(help='runs of all rounds: one third each for the search, the old and the '
+        'new network')
+    ] = 3600,
+    base: Annotated[
+        str, typer.Option(help='program whose images are trained on in addition to the failures')
+    ] = 'training_full',
+    images: Annotated[int, typer.Option(help='images of it per round')] = 12_000,
+    validation: Annotated[int, typer.Option(help='additional validation images')] = 1_500,
+    counterexamples: Annotated[
+        int, typer.Option(help="images along each round's failed runs")
+    ] = 4_000,
+    add: Annotated[
+        list[str] | None,
+        typer.Option(metavar='PROGRAM=COUNT', help='additional image folder; repeatable'),
+    ] = None,
+    epochs: Annotated[int, typer.Option(help='epochs')] = 8,
+    learning_rate: Annotated[float, typer.Option(help='maximum learning rate of the '
+    'schedule')] = 1e-3,
+    varied: VariedOption = False,
+    sampler: Annotated[str, typer.Option(help='sampler of the searches for failures')] = 'ce',
+    alpha: Annotated[
+        float,
+        typer.Option(help='probability of accepting a network that is not better, or worse by a '
+        'margin'),
+    ] = 0.05,
+    margin: Annotated[
+        float, typer.Option(help='tolerated increase of failures, as a share of all scenes')
+    ] = 0.01,
+    place_margin: Annotated[
+        float, typer.Option(help='the same within any part of runway, day, pose or sky')
+    ] = 0.05,
+    seed: Annotated[int, typer.Option(help='random seed')] = 1,
+    workers: Annotated[
+        int, typer.Option(min=1, max=8, help='worker processes; same results')
+    ] = 2,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
+    cluster: ClusterOption = None,
+    out: Annotated[Path | None, typer.Option(help='folder; must be new')] = None,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue in --out, with its own options')
+    ] = False,
+) -> None:
+    """Improve a network in rounds: falsify, cluster failures, retrain, evaluate, keep if better.
+
+    Every stage does what a printed taxinet command does. Exit codes: 0 done, 130 interrupted,
+    else that of the failed stage.
+    """
+    if resume:
+        others = given_options(context).keys() - {
+            'out', 'workers', 'resume', 'engine', 'audit', 'cluster',
+        }
+        refuse_given(context, others, 'is taken from the folder that --resume continues')
+    options = None if resume else ImproveOptions(
+        program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
+        validation=validation, counterexamples=counterexamples, add=tuple(add or ()),
+        epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
+        margin=margin, place_margin=place_margin, seed=seed, workers=workers,
+    )
+    raise typer.Exit(_run(options, out, workers, engine, audit, cluster))
+
+
+def _run(
     options: ImproveOptions | None, out: Path | None, workers: int, engine: str,
     audit: str | None, cluster: str | None,
 ) -> int:
-    """Run the rounds and print their results.
-
-    Args:
-        options: options; None to continue with those of ``out``.
-        out: folder, or None for a new one.
-        workers: worker processes of a resumed loop.
-        engine: what makes the runs, see :class:`.CampaignOptions`.
-        audit: share of the runs to audit as text, see :func:`.check_engine`.
-        cluster: a Dask cluster that makes the runs of campaigns, or None.
-
-    Returns:
-        Exit code: 0 done, 130 interrupted, else that of the stage that failed.
-
-    Raises:
-        UsageError: bad input.
-    """
+    """Run the rounds and print their results; without options, those of ``out``."""
     console = Console(highlight=False)
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
@@ -55,25 +127,30 @@ def run_improve(
     def show(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
-    def show_round(done: Round) -> None:
-        show('')
-        for line in round_lines(done, options.rounds):
-            show(line)
-
-    with StageLog(out) as log, RoundLedger(out) as ledger:
+    rounds: list[dict[str, Any]] = []
+    with open_study(out, show) as record:
+        if OPTIONS not in record.entries:
+            record.put(OPTIONS, _COMMAND, dataclasses.asdict(options))
         show(
             f'improve {options.start} on {options.program}: at most {options.rounds} rounds of 3 '
             f'times {options.runs:,} runs -> {out}'
         )
-        show(f'every command runs in {out}')
+        show(f'every stage runs in {out}')
 
         def run_stages(stages: Sequence[Stage]) -> int:
             return StudyRun(
-                out, with_engine(stages, engine, audit, where), log=log, command=stage_command(),
+                out, with_engine(stages, engine, audit, where), record=record, work=call_stage,
                 workers=options.workers, show=show,
             ).run()
 
-        code = Improvement(out, options, ledger, run_stages, show_round).run()
+        def show_round(done: Round) -> None:
+            rounds.append(done.to_json())
+            record.put('round', str(done.number), rounds[-1])
+            write_atomically(out / ROUNDS_NAME, json.dumps(rounds, indent=2) + '\n')
+            for line in ('', *round_lines(done, options.rounds)):
+                show(line)
+
+        code = Improvement(out, options, run_stages, show_round).run()
     if code == ExitCode.OK:
         show(f'network: {out / BEST}; decisions of the rounds: {out / ROUNDS_NAME}')
     return code
@@ -86,7 +163,8 @@ def _begun(
     if options is None:
         if out is None:
             raise UsageError('--resume: name the folder to continue with --out')
-        earlier = dataclasses.replace(read_options(out), workers=workers)
+        values = read_options(out, _COMMAND, '--resume')
+        earlier = ImproveOptions(**{**values, 'add': tuple(values['add']), 'workers': workers})
         if (out / START).exists():
             earlier = dataclasses.replace(earlier, start=str(out / START))
         return earlier, out
@@ -95,7 +173,6 @@ def _begun(
         out = new_folder(DEFAULT_ROOT / 'improve')
     check_new(out)
     make_out(out)
-    write_options(out, options)
     return options, out
 
 

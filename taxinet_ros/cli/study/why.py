@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import Console
 
 from taxinet_ros.analysis.report.page import write_report_page
@@ -14,21 +16,21 @@ from taxinet_ros.campaign.cluster.connection import check_cluster
 from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.facts import is_campaign
-from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.study.stages.log import LOG_NAME, StageLog
+from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.study.stages.record import OPTIONS, STAGE, open_study
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.study.why.investigation import Investigation, StoppedError, kind_of
-from taxinet_ros.study.why.plan import Budget, explain_name
+from taxinet_ros.study.why.plan import Budget
 from taxinet_ros.study.why.report import (
     JSON_NAME,
     PAGE_NAME,
-    WorstRun,
     why_json,
     why_report,
-    worst_run,
 )
 from taxinet_ros.study.why.verdict import (
     Action,
@@ -39,53 +41,61 @@ from taxinet_ros.study.why.verdict import (
     judge,
 )
 
-_SUBJECT = 'subject.json'
+_COMMAND = 'why'
 
 
-@dataclass(frozen=True, kw_only=True)
-class WhyOptions:
-    """Options of ``taxinet why``.
+def why(
+    path: Annotated[
+        Path, typer.Argument(
+            metavar='CAMPAIGN|RUN', help="a campaign's folder, or the bag of a run"
+        )
+    ],
+    budget: Annotated[
+        int, typer.Option(metavar='RUNS', help='about how many runs to make: a third to drive '
+        'failed runs again, a fifth to shrink the worst one, the others in experiments')
+    ] = 400,
+    perception: Annotated[
+        str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
+    ] = None,
+    workers: Annotated[
+        int, typer.Option(min=1, max=8, help='worker processes; same results')
+    ] = 2,
+    engine: EngineOption = 'loop',
+    audit: AuditOption = None,
+    cluster: ClusterOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help='folder for page and evidence (default: bags/NAME-why); '
+        'what is done in it is kept')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out why a campaign or a run failed, and what to do.
 
-    Attributes:
-        path: campaign, table or run.
-        perception: network, if its file has moved.
-        budget: about how many runs to make.
-        workers: processes.
-        engine, audit: what makes the runs, and share of them to audit as text or None.
-        cluster: a Dask cluster that makes the runs of campaigns, or None.
-        out: folder; None: one below ``bags/`` named after the campaign or run.
-        as_json: print ``why.json`` in place of the verdict.
+    Analyzes the failures, drives some again with perfect estimates, explains the worst run of each
+    cause, shrinks one, and tests what is suspected on fresh scenes. Says in three sentences whether
+    network, controller or requirement is at fault, and how sure that is; writes one page with links
+    to all evidence, and the command that mends it. After an interrupt, the same command continues.
+    Exit codes: 0 a verdict, 3 unclear, 130 interrupted.
     """
-
-    path: Path
-    perception: str | None
-    budget: int
-    workers: int
-    engine: str
-    audit: str | None
-    cluster: str | None
-    out: Path | None
-    as_json: bool
+    raise typer.Exit(_run(
+        path, perception, Budget(runs=budget), workers, engine, audit, cluster, out,
+        as_json=as_json,
+    ))
 
 
-def run_why(options: WhyOptions) -> int:
-    """Run the stages that are not done, write the page and print the verdict.
-
-    Returns:
-        Exit code: 0 there is a verdict, 3 it is unclear or no run was judged, 130 interrupted;
-        else that of the stage that broke.
-
-    Raises:
-        UsageError: bad input.
-    """
-    console = Console(highlight=False, stderr=options.as_json)
-    budget = Budget(runs=options.budget)
-    with_engine((), options.engine, options.audit)  # checks them before anything is made
-    where = check_cluster(options.cluster) if options.cluster else ''
-    path = options.path.absolute()
+def _run(
+    subject: Path, perception: str | None, budget: Budget, workers: int, engine: str,
+    audit: str | None, cluster: str | None, out: Path | None, *, as_json: bool,
+) -> int:
+    console = Console(highlight=False, stderr=as_json)
+    with_engine((), engine, audit)  # checks them before anything is made
+    where = check_cluster(cluster) if cluster else ''
+    path = subject.absolute()
     kind = kind_of(path)
-    out = (options.out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
-    _claim(out, path)
+    out = (out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
+    if out.is_dir() and any(out.iterdir()) and not (out / RECORD_NAME).is_file():
+        raise UsageError(f'--out {out}: contains something else; choose another folder')
+    make_out(out)
 
     warned: set[str] = set()
 
@@ -96,34 +106,34 @@ def run_why(options: WhyOptions) -> int:
         warned.add(line)
         console.print(line, soft_wrap=True, markup=False)
 
-    show(f'why {kind} {options.path}: at most about {budget.runs} runs -> {_near(out)}')
-    with StageLog(out) as log:
+    show(f'why {kind} {subject}: at most about {budget.runs} runs -> {_near(out)}')
+    with open_study(out, show) as record:
+        _claim(record, out, path)
         (out / 'logs').mkdir(exist_ok=True)
 
         def run_stages(stages: Sequence[Stage]) -> tuple[int, Mapping[str, str]]:
             sitting = StudyRun(
-                out, with_engine(stages, options.engine, options.audit, where), log=log,
-                command=stage_command(), workers=options.workers, show=show, folder=Path.cwd(),
+                out, with_engine(stages, engine, audit, where), record=record,
+                work=call_stage, workers=workers, show=show, folder=Path.cwd(),
                 logs=out / 'logs', again='the same command',
             )
             return sitting.run(), sitting.refused
 
         work = Investigation(
-            path=path, out=out, perception=options.perception, budget=budget,
-            workers=options.workers, run_stages=run_stages,
+            path=path, out=out, perception=perception, budget=budget,
+            workers=workers, run_stages=run_stages,
         )
         try:
             evidence = work.evidence()
         except StoppedError as stopped:
             return stopped.code
-        log.check_in_place()
+        record.check_in_place()
         verdict = judge(evidence)
         todo = tuple(_actions(evidence, verdict, path, kind))
-        worst = _worst(work, evidence)
-        write_report_page(why_report(evidence, verdict, todo, worst, out), out / PAGE_NAME)
+        write_report_page(why_report(evidence, verdict, todo, out), out / PAGE_NAME)
         values = why_json(evidence, verdict, todo)
         write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
-    if options.as_json:
+    if as_json:
         print(json.dumps(values, indent=2, allow_nan=False))
     else:
         _print(show, verdict, todo, out)
@@ -149,7 +159,7 @@ def _print(
 def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
     campaign, kept = None, False
     folder = path if kind == 'campaign' else path.parent
-    if kind != 'table' and is_campaign(folder):
+    if is_campaign(folder):
         campaign = Path(_near(folder))
         recorded = open_campaign(folder)
         kept = any(recorded.bag(row) is not None for row in recorded.counterexamples)
@@ -174,32 +184,16 @@ def _with_near_paths(evidence: Evidence) -> Evidence:
     )
 
 
-def _worst(work: Investigation, evidence: Evidence) -> dict[int, WorstRun]:
-    found = {}
-    for cause in evidence.causes:
-        if cause.bag is None:
-            continue
-        run = worst_run(cause, work.change(cause), work.out / explain_name(cause.rank))
-        if run is not None:
-            found[cause.rank] = run
-    return found
-
-
-def _claim(out: Path, path: Path) -> None:
-    """Make the folder for this subject, or check that it is its own.
+def _claim(record: Record, out: Path, path: Path) -> None:
+    """Note the subject of a new record, or check that it is about this one.
 
     Raises:
-        UsageError: it has something else.
+        UsageError: it is about something else.
     """
-    claim, text = out / _SUBJECT, json.dumps({'why': str(path)}) + '\n'
-    if claim.is_file():
-        if claim.read_text(encoding='utf-8') != text:
-            raise UsageError(f'--out {out}: is about something else; choose another folder')
-        return
-    if out.is_dir() and any(out.iterdir()) and not (out / LOG_NAME).is_file():
-        raise UsageError(f'--out {out}: contains something else; choose another folder')
-    make_out(out)
-    write_atomically(claim, text)
+    mine, before = {'path': str(path)}, record.entries.get(OPTIONS, {})
+    if before.get(_COMMAND, mine) != mine or (not before and record.entries.keys() - {STAGE}):
+        raise UsageError(f'--out {out}: is about something else; choose another folder')
+    record.put(OPTIONS, _COMMAND, mine)
 
 
 def _near(path: Path) -> str:

@@ -21,7 +21,8 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import ToldInterrupt
-from taxinet_ros.training.data.dataset_folder import LABELS, REQUEST, DatasetOptions, write_dataset
+from taxinet_ros.training.data.dataset_folder import LABELS, DatasetOptions, write_dataset
+from taxinet_ros.training.data.unfinished import is_begun
 from taxinet_ros.training.evaluation import (
     SliceErrors,
     evaluate_folder,
@@ -38,7 +39,7 @@ def run_dataset(options: DatasetOptions) -> None:
         with stage_bars(Console()) as show:
             rendered = write_dataset(options, show)
     except KeyboardInterrupt:
-        if (options.out / REQUEST).exists():
+        if is_begun(options.out):
             Console(stderr=True).print(
                 f'interrupted; images in {options.out} are kept, continue with --resume',
                 soft_wrap=True, highlight=False,

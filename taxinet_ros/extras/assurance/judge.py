@@ -7,7 +7,6 @@ beside goes on after its alarm, so the same runs tell what other thresholds woul
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import dataclasses
 import io
@@ -15,12 +14,12 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.options import check_new, make_out
+from taxinet_ros.campaign.past_runs.trials import TrialRecord, check_trials_folder
 from taxinet_ros.campaign.rates import Rate, rate, share_bounds
 from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import (
@@ -44,7 +43,7 @@ from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.extras.assurance.calibrate import REQUIREMENT
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.journal import Journal, damaged_line, open_journal
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.training.data.dataset import draw_scenes
@@ -54,8 +53,6 @@ WITHOUT = 'without'
 REACH_S = 10.0
 """Time within which the requirement lets the aircraft reach the line."""
 TRIALS_NAME, ALARMS_NAME, RESULT_NAME = 'trials.csv', 'alarms.csv', 'assurance.json'
-SCENES_NAME = 'scenes.jsonl'
-"""Journal of the scenes that are done; the same command goes on after them."""
 FACTORS = tuple(2.0 ** (half / 2) for half in range(-5, 7))
 """Multiples of all thresholds for which the first alarm is noted too."""
 BRAKING_S = 2.0
@@ -103,8 +100,7 @@ class JudgeOptions:
             )
         for word in self.words.values():
             check_controller(word)
-        if not (self.out / SCENES_NAME).is_file():
-            check_new(self.out)
+        check_trials_folder(self.out)
 
     @property
     def fingerprints(self) -> Mapping[str, str]:
@@ -273,10 +269,15 @@ class Driven:
 
     trials: tuple[Trial, ...]
     alarms_s: Floats
+    judged = True
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :meth:`from_json`."""
+        return {'trials': plain(self.trials), 'alarms_s': plain(self.alarms_s.tolist())}
 
     @classmethod
-    def from_plain(cls, values: Mapping[str, Any]) -> Driven:
-        """From the values of :func:`plain`; null is NaN.
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """From the values of :meth:`to_json`; null is NaN.
 
         Raises:
             LookupError, TypeError, ValueError: they are others.
@@ -577,7 +578,6 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
     if not make_perception(options.perception).needs_image:
         raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
     scenes = draw_scenes(options.program, seed=options.seed, images=options.runs)
-    make_out(options.out)
     driven = _drive(options, scenes, progress)
     trials = [trial for one in driven for trial in one.trials]
     judged = summarize(trials, {one.trials[0].scene: one.alarms_s for one in driven})
@@ -585,7 +585,7 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
     write_atomically(options.out / ALARMS_NAME, alarms_csv(driven))
     write_sealed(
         options.out / RESULT_NAME, plain_result(options, judged),
-        [options.out / name for name in (TRIALS_NAME, ALARMS_NAME)], [options.out / SCENES_NAME],
+        [options.out / name for name in (TRIALS_NAME, ALARMS_NAME, RECORD_NAME)],
     )
     return judged
 
@@ -593,51 +593,21 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
 def _drive(
     options: JudgeOptions, scenes: Sequence[Scenario], progress: Progress
 ) -> list[Driven]:
-    """Runs of all scenes; those in the journal are taken from it."""
-    path = options.out / SCENES_NAME
-    journal = open_journal(path, 'taxinet assure judge')
-    with contextlib.closing(journal):
-        known = _earlier(options, path, journal)
-        keys = [scene.digest for scene in scenes]
-        missing = [number for number, key in enumerate(keys) if (number, key) not in known]
-        made = len(scenes) - len(missing)
-        found = _runs(options, [(number, scenes[number]) for number in missing])
-        for number, driven in zip(missing, found, strict=True):
-            known[number, keys[number]] = driven
-            journal.append({
-                'event': 'scene', 'scene': number, 'scenario': keys[number],
-                'trials': plain(driven.trials), 'alarms_s': plain(driven.alarms_s.tolist()),
-            })
-            journal.sync()
-            made += 1
-            progress('scenes', made, len(scenes))
-    return [known[number, key] for number, key in enumerate(keys)]
-
-
-def _earlier(
-    options: JudgeOptions, path: Path, journal: Journal
-) -> dict[tuple[int, str], Driven]:
-    """Scenes of earlier sittings, by number and key."""
+    """Runs of all scenes; those in the record are taken from it."""
     settings = {
-        'event': 'settings', 'requirement': REQUIREMENT, 'fingerprints': dict(options.fingerprints),
+        'requirement': REQUIREMENT, 'fingerprints': dict(options.fingerprints),
         'monitor': options.monitor, 'fallbacks': list(options.fallbacks),
     }
-    if not journal.events:
-        journal.append(settings)
-        journal.sync()
-        return {}
-    if journal.events[0] != settings:
-        raise UsageError(
-            f'--out {options.out}: has runs of another perception, controller, monitor or '
-            'fallback; choose another folder'
-        )
-    known = {}
-    for number, event in enumerate(journal.events[1:], 2):
-        try:
-            known[int(event['scene']), str(event['scenario'])] = Driven.from_plain(event)
-        except (LookupError, TypeError, ValueError) as error:
-            raise damaged_line(path, number, str(error)) from error
-    return known
+    other = 'has runs of another perception, controller, monitor or fallback'
+    keys = [f'{number:06} {scene.digest}' for number, scene in enumerate(scenes)]
+    with TrialRecord(options.out, settings, Driven, other) as record:
+        missing = [one for one, key in enumerate(keys) if key not in record.done]
+        made = len(scenes) - len(missing)
+        for driven in _runs(options, [(number, scenes[number]) for number in missing]):
+            record.keep(keys[driven.trials[0].scene], driven)
+            made += 1
+            progress('scenes', made, len(scenes))
+        return [record.done[key] for key in keys]
 
 
 def trials_csv(trials: Sequence[Trial]) -> str:
@@ -710,12 +680,6 @@ def _scene(given: tuple[int, Scenario]) -> Driven:
 def _runs(
     options: JudgeOptions, scenes: Sequence[tuple[int, Scenario]]
 ) -> Iterator[Driven]:
-    """Runs of each scene with its number, in order, whatever the number of processes."""
-    if not scenes:
-        return
-    if options.workers == 1:
-        _start_worker(options)
-        yield from map(_scene, scenes)
-        return
+    """Runs of each scene with its number, as they finish."""
     with process_pool(options.workers, 'judging worker', _start_worker, options) as pool:
-        yield from pool.map(_scene, scenes, chunksize=2)
+        yield from pool.run_all(_scene, scenes, options.workers)

@@ -14,7 +14,7 @@ from taxinet_ros.campaign.options import DEFAULT_JUDGING, DEFAULT_ROOT, read_spe
 from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of_program
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import ExitCode, UsageError
@@ -28,7 +28,6 @@ from taxinet_ros.extras.tune.tuning import (
     varied_gains,
 )
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.processes.interrupts import interrupts
 
 JSON_NAME = 'tune.json'
 
@@ -107,8 +106,7 @@ def _start(settings: Sequence[str]) -> dict[str, float]:
 
 
 def _run(tuning: Tuning, console: Console) -> Tuned | None:
-    asked: list[bool] = []
-    runs, candidates = itertools.count(1), itertools.count(1)
+    candidates = itertools.count(1)
     options = tuning.options
     most = options.candidates * len(options.learning.scenes) + 2 * len(options.unseen.scenes)
 
@@ -120,10 +118,8 @@ def _run(tuning: Tuning, console: Console) -> Tuned | None:
                 f'{number:4}  rho {one.worst:+.2f} at worst, {one.scene}  {words}', soft_wrap=True,
             )
 
-    with stage_bars(console) as show, interrupts(lambda: asked.append(True)):
-        return tuning.run(
-            on_candidate, lambda: show('runs, at most', next(runs), most), lambda: bool(asked)
-        )
+    with trial_bar(console, 'runs, at most', most) as (count, interrupted):
+        return tuning.run(on_candidate, count, interrupted)
 
 
 def gain_words(one: Candidate) -> str:
@@ -175,7 +171,7 @@ def tuned_lines(tuned: Tuned, options: TuneOptions) -> list[str]:
     if tuned.verdict == 'better':
         lines.append(
             'next: ' + RunSettings(
-                perception=options.perception, gains=found.gains, judging=options.learning.judging,
+                perception=options.perception, gains=found.gains, judging=options.system.judging,
             ).command(options.learning.source, verb='falsify')
         )
     return lines

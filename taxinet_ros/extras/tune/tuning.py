@@ -13,8 +13,7 @@ gains, on scenes that the search has not seen.
 
 from __future__ import annotations
 
-import hashlib
-import json
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,21 +26,17 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_rates,
     paired_shift,
 )
-from taxinet_ros.campaign.options import make_out
-from taxinet_ros.campaign.past_runs.localisation import Task, Trial, TrialSetup, trial_pool
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene, SceneSet
+from taxinet_ros.campaign.past_runs.trials import Trial, TrialRecord, TrialSystem, trial_pool
 from taxinet_ros.campaign.samplers.optuna_study import SEEDS, new_study, quiet
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.files.journal import Journal, damaged_line, open_journal
 
 if TYPE_CHECKING:
     from optuna import Trial as Proposal
     from optuna.distributions import BaseDistribution
 
-TRIALS_NAME = 'trials.jsonl'
 GAIN_PREFIX = 'steering.'
 SIGNIFICANT = 0.05
 _STARTUP = 10
@@ -130,9 +125,9 @@ class TuneOptions:
             UsageError: it is not.
         """
         check_perception(self.perception)
-        if self.learning.controller != STEERING:
+        if (controller := self.system.controller) != STEERING:
             raise UsageError(
-                f'{self.learning.source}: its controller is {self.learning.controller}, which has '
+                f'{self.learning.source}: its controller is {controller}, which has '
                 'no steering gains'
             )
         seen = {repr(scene.scenario) for scene in self.learning.scenes}
@@ -145,13 +140,9 @@ class TuneOptions:
         SteeringGains(**self.start)
 
     @property
-    def digest(self) -> str:
-        """Digest of everything that results depend on, but the scenes' and candidates' numbers."""
-        values = [
-            check_perception(self.perception), self.learning.judging.facts(),
-            self.learning.timing, self.learning.world, self.learning.world_sha256,
-        ]
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    def system(self) -> TrialSystem:
+        """The system without gains, which each candidate has its own of."""
+        return dataclasses.replace(self.learning.system_with(self.perception), gains={})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -347,7 +338,7 @@ class Tuned:
         return 'unclear'
 
 
-class Tuning:
+class Tuning(TrialRecord[Trial]):
     """A search whose runs are kept in a folder, so that the same command continues it."""
 
     def __init__(self, options: TuneOptions, out: Path) -> None:
@@ -357,36 +348,11 @@ class Tuning:
             UsageError: bad options, or the folder contains something else.
         """
         options.check()
+        super().__init__(
+            out, {'system': options.system.digest}, Trial,
+            'has runs of another perception, requirement or world',
+        )
         self.options = options
-        self._known: dict[tuple[str, str], Trial] = {}
-        path = out / TRIALS_NAME
-        if out.is_dir() and not path.exists() and any(out.iterdir()):
-            raise UsageError(f'--out {out}: contains something else; choose another folder')
-        make_out(out)
-        self._journal: Journal = open_journal(path, 'taxinet tune')
-        settings = {'event': 'settings', 'digest': options.digest}
-        if not self._journal.events:
-            self._journal.append(settings)
-            self._journal.sync()
-        first, *trials = self._journal.events or [settings]
-        if first != settings:
-            self._journal.close()
-            raise UsageError(
-                f'--out {out}: has runs of another perception, requirement or world; choose '
-                'another folder'
-            )
-        for number, event in enumerate(trials, start=2):
-            try:
-                trial = Trial.from_json(event['trial'])
-                self._known[event['key'], event['scene']] = trial
-            except (KeyError, TypeError, ValueError) as error:
-                raise damaged_line(path, number, str(error)) from error
-
-    def __enter__(self) -> Tuning:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._journal.close()
 
     def run(
         self, on_candidate: Callable[[Candidate], None] = lambda candidate: None,
@@ -404,28 +370,17 @@ class Tuning:
             InfraError: the initial gains cannot be judged, or a worker died.
         """
         options = self.options
-        setup = TrialSetup(
-            perception=options.perception, judging=options.learning.judging, gains={},
-            timing=options.learning.timing, world=options.learning.world,
-            world_sha256=options.learning.world_sha256,
-        )
-        with trial_pool(setup, options.workers) as run_tasks:
+        with trial_pool(options.system, options.workers) as run_tasks:
             def run(scenes: SceneSet, gains: Gains, numbers: Sequence[int]) -> list[Trial]:
                 if interrupted():
                     raise _InterruptedError
                 chosen = [scenes.scenes[number] for number in numbers]
-                missing = [one for one in chosen if _key(gains, one) not in self._known]
-                trials = run_tasks([_task(one, gains) for one in missing])
-                for scene, trial in zip(missing, trials, strict=True):
-                    key, digest = _key(gains, scene)
-                    self._journal.append({
-                        'event': 'trial', 'key': key, 'scene': digest, 'trial': trial.to_json(),
-                    })
-                    self._known[key, digest] = trial
+                keys = {scene.row.run_id: _key(gains, scene) for scene in chosen}
+                missing = [one for one in chosen if keys[one.row.run_id] not in self.done]
+                for trial in run_tasks([scene.task(gains=dict(gains)) for scene in missing]):
+                    self.keep(keys[trial.run_id], trial)
                     on_run()
-                if missing:
-                    self._journal.sync()
-                return [self._known[_key(gains, one)] for one in chosen]
+                return [self.done[key] for key in keys.values()]
 
             try:
                 return self._search(run, on_candidate)
@@ -493,24 +448,17 @@ def _rho(trial: Trial) -> float:
     return trial.robustness.lower
 
 
-def _key(gains: Gains, scene: Scene) -> tuple[str, str]:
+def _key(gains: Gains, scene: Scene) -> str:
     """Key of a run: its gains, and a digest of its scenario."""
     text = ' '.join(f'{name}={gains[name]!r}' for name in sorted(gains))
-    return text, scene.scenario.digest
-
-
-def _task(scene: Scene, gains: Gains) -> Task:
-    return Task(
-        run_id=scene.row.run_id, scenario=scene.scenario, word=AS_RECORDED,
-        seed=(scene.row.seed, scene.row.index), exact=scene.exact, gains=dict(gains),
-    )
+    return f'{text} {scene.scenario.digest}'
 
 
 def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
     """Plain values of a result."""
     return {
         'program': options.learning.source, 'perception': options.perception,
-        'spec': options.learning.judging.headline, 'seed': options.seed,
+        'spec': options.system.judging.headline, 'seed': options.seed,
         'varied': {one.name: [one.low, one.high] for one in options.varied},
         'scenes': tuned.scenes, 'runs': tuned.runs, 'verdict': tuned.verdict,
         'start': _candidate_json(tuned.start), 'found': _candidate_json(tuned.found),

@@ -43,14 +43,7 @@ def wrapped_command(
     asked_s: float = SIGINT_GRACE_S,
     told_s: float = SIGTERM_GRACE_S,
 ) -> list[str]:
-    """Command line of the wrapper of a command.
-
-    Args:
-        command: program and arguments.
-        parent: the process that starts the wrapper.
-        asked_s: grace period after SIGINT [s].
-        told_s: grace period after SIGTERM [s].
-    """
+    """Command line of the wrapper of a command, with the grace periods after SIGINT and SIGTERM."""
     return module_command(
         'taxinet_ros.nodes.graph.command_wrapper', str(parent), str(asked_s), str(told_s), *command
     )

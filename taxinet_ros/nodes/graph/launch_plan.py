@@ -144,10 +144,6 @@ def namespace(words: Mapping[str, str]) -> str:
 def absolute_namespace(text: str, where: str) -> str:
     """Make a namespace given by the user absolute; ``/`` for none.
 
-    Args:
-        text: the namespace as given.
-        where: option or argument, for the error message.
-
     Raises:
         UsageError: it is invalid.
     """
@@ -179,10 +175,6 @@ def environment(words: Mapping[str, str]) -> dict[str, str]:
 
 def parameter_file(words: Mapping[str, str], share: Path) -> str:
     """The file with the nodes' parameters.
-
-    Args:
-        words: see :func:`plan`.
-        share: share folder of this package.
 
     Raises:
         UsageError: the file does not exist.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,7 +20,7 @@ from taxinet_ros.nodes.graph.command_wrapper import (
     wrapped_command,
 )
 from taxinet_ros.nodes.running.domain import require_discovery
-from taxinet_ros.processes.child import ChildProcess, child_environment, end_all, module_command
+from taxinet_ros.processes.child import ChildProcess, child_environment, module_command
 
 
 class NodeProcess(ChildProcess):
@@ -61,13 +61,6 @@ class NodeProcess(ChildProcess):
         graces_s: tuple[float, float] = (SIGINT_GRACE_S, SIGTERM_GRACE_S),
     ) -> Self:
         """Start a user's command as a node, including its child processes.
-
-        Args:
-            name: name of the node.
-            command: program and arguments.
-            domain: ROS domain to join.
-            log: file for its output.
-            graces_s: grace periods after SIGINT and after SIGTERM [s].
 
         Raises:
             UsageError: the program does not exist.
@@ -123,31 +116,6 @@ class NodeProcess(ChildProcess):
         if not self._ours or self.code != ExitCode.USAGE:
             return ''
         return self.how_it_ended().split('error: ', 1)[-1]
-
-
-@contextlib.contextmanager
-def command_processes(
-    commands: Mapping[str, list[str]], domain: int, logs: Path
-) -> Iterator[list[NodeProcess]]:
-    """Context of user commands running as nodes of a graph; all are ended on exit.
-
-    Args:
-        commands: program and arguments by the node's name.
-        domain: ROS domain of the nodes.
-        logs: folder for their output.
-
-    Raises:
-        UsageError: the program does not exist.
-    """
-    children: list[NodeProcess] = []
-    try:
-        for name, command in commands.items():
-            logs.mkdir(exist_ok=True)
-            log = logs / f'{name}-{domain}.log'
-            children.append(NodeProcess.of_command(name, command, domain=domain, log=log))
-        yield children
-    finally:
-        end_all(children)
 
 
 def node_command(module: str) -> list[str]:

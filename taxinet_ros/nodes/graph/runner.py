@@ -19,12 +19,12 @@ from rclpy.parameter import Parameter
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import AT_ONCE, Timing
+from taxinet_ros.core.system import System
 from taxinet_ros.core.user_code import is_node_elsewhere, node_command
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.graph.node_process import NodeProcess, command_processes
+from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.lockstep.sampler import ScenarioSampler
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
@@ -48,39 +48,23 @@ _PERCEPTIONS: dict[str, NodeClass] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraphOptions:
-    """Options of a graph.
+class GraphOptions(System):
+    """A system that runs as a graph of nodes.
 
     Attributes:
-        perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.user_code`.
         out: folder for the bags, one folder per run.
         make_out: whether to create a missing ``out``. A campaign creates its own, so if it is
             missing, it was moved or deleted and must not be replaced.
         images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
-        gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], if not default.
         patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], if not default.
-        controller: ``steering``, ``FILE.py:NAME``, or a word of :mod:`taxinet_ros.core.user_code`.
-        controller_sha256: required hash of the controller's file and the files it lists, so that a
-        change during a campaign is detected; '' for any.
-        timing: timing of answers.
-        world: name of the world that runs take place in.
-        world_sha256: required hash of the package that provides it; '' for any.
     """
 
-    perception: str
     out: Path
     make_out: bool = True
     images: str = 'all'
-    gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
     patience: Mapping[str, float] = field(default_factory=dict)
-    controller: str = STEERING
-    controller_sha256: str = ''
-    timing: Timing = AT_ONCE
-    world: str = KMWH
-    world_sha256: str = ''
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of this package except the sampler, by node name."""
@@ -125,20 +109,10 @@ class GraphOptions:
         return {name: words for name, words in found.items() if words}
 
 
-def campaign_graph(
-    campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
-) -> GraphOptions:
-    """Options of the graphs of a campaign.
-
-    Args:
-        campaign: campaign whose folder exists.
-        controller_sha256: recorded hash of its controller.
-        world_sha256: recorded hash of the package that provides its world, or ''.
-    """
+def campaign_graph(campaign: CampaignOptions, system: System) -> GraphOptions:
+    """Options of the graphs of a campaign whose folder exists, with its recorded system."""
     return GraphOptions(
-        perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
-        gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
-        timing=campaign.timing, world=campaign.world, world_sha256=world_sha256,
+        **vars(system), out=campaign.out, make_out=False, images=campaign.images
     )
 
 
@@ -166,7 +140,7 @@ def composed_graph(
     """
     with (
         own_domain() as domain,
-        command_processes(options.commands(), domain, options.out / 'logs') as children,
+        node_processes(options, domain, options.out / 'logs', ours=False) as children,
         NodeExecutor(domain, executor) as spinning,
     ):
         for node, parameters in options.nodes().values():
@@ -186,13 +160,7 @@ class SampledGraph:
         self, spinning: NodeExecutor, patience: Mapping[str, float],
         children: Sequence[NodeProcess],
     ) -> None:
-        """Create the sampler.
-
-        Args:
-            spinning: executor of the nodes in this process; the caller closes it.
-            patience: parameters of the sampler.
-            children: processes that are nodes of the graph; the death of one ends its run.
-        """
+        """Create the sampler; the death of one of the ``children`` ends the run under way."""
         self.children = children
         self._spinning = spinning
         self._patience = patience
@@ -258,31 +226,34 @@ def process_graph(options: GraphOptions, logs: Path) -> Iterator[Graph]:
 
 @contextlib.contextmanager
 def node_processes(
-    options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = (),
-    remaps: Sequence[str] = (),
+    options: GraphOptions, domain: int, logs: Path, *, ours: bool = True,
+    without: tuple[str, ...] = (), remaps: Sequence[str] = (),
 ) -> Iterator[list[NodeProcess]]:
-    """Context of all nodes of a graph except the sampler; all are ended on exit.
+    """Context of the processes of a graph, all ended on exit: users' commands, and nodes of ours.
 
     Args:
         options: options of the graph.
         domain: ROS domain of the nodes.
         logs: folder for their output.
-        without: names of nodes to leave out.
+        ours: whether our nodes, except the sampler, have processes, too.
+        without: names of nodes of ours to leave out.
         remaps: remap rules for every node, ``FROM:=TO``.
     """
-    logs.mkdir(parents=True, exist_ok=True)
+    commands = options.commands(remaps)
+    if ours or commands:
+        logs.mkdir(parents=ours, exist_ok=True)
     children: list[NodeProcess] = []
-    with (
-        tempfile.TemporaryDirectory(prefix='taxinet-') as scratch,
-        command_processes(options.commands(remaps), domain, logs) as of_others,
-    ):
+    with tempfile.TemporaryDirectory(prefix='taxinet-') as scratch:
         try:
-            for name, (kind, parameters) in options.nodes().items():
+            for name, command in commands.items():
+                log = logs / f'{name}-{domain}.log'
+                children.append(NodeProcess.of_command(name, command, domain=domain, log=log))
+            for name, (kind, parameters) in options.nodes().items() if ours else ():
                 if name not in without:
                     children.append(NodeProcess.of_ours(
                         name, kind, parameters, domain=domain, log=logs / f'{name}.log',
                         scratch=Path(scratch), remaps=remaps,
                     ))
-            yield [*children, *of_others]
+            yield children
         finally:
             end_all(children)

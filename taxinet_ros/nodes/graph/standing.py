@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.launch_plan import namespace_remaps
@@ -62,29 +61,15 @@ class UpOptions:
         )
 
 
-class GraphDisplay(Protocol):
-    """Interface of a display of a standing graph."""
-
-    def say(self, line: str) -> None:
-        """Show a line about an event."""
-
-    def watching(
-        self, supervisor: Supervisor, domain: int
-    ) -> contextlib.AbstractContextManager[None]:
-        """Context in which the state of the graph is shown."""
-
-
 def run_standing_graph(
-    options: UpOptions, shown: GraphDisplay, on_start: Callable[[Supervisor], None]
+    options: UpOptions, say: Callable[[str], None],
+    watching: Callable[[Supervisor, int], contextlib.AbstractContextManager[None]],
 ) -> None:
     """Start a graph and supervise it until stopped.
 
-    A ``KeyboardInterrupt`` at any time kills every node; otherwise they end in order.
-
-    Args:
-        options: options of the graph.
-        shown: the display.
-        on_start: called with the supervisor, which can stop the graph, once it exists.
+    A ``KeyboardInterrupt`` at any time kills every node; otherwise they end in order. ``say`` is
+    called with a line per event; ``watching``, with the supervisor, which can stop the graph, and
+    the domain, is entered while the graph stands.
 
     Raises:
         UsageError: bad input, or the domain belongs to another graph.
@@ -93,17 +78,18 @@ def run_standing_graph(
     without = () if options.record else (interface.RECORDER,)
     with (
         own_domain(options.domain, options.namespace) as domain,
-        node_processes(options.graph, domain, options.logs, without, options.remaps) as processes,
+        node_processes(
+            options.graph, domain, options.logs, without=without, remaps=options.remaps,
+        ) as processes,
         NodeExecutor(domain) as spinning,
         _in_order(processes),
     ):
         supervisor = Supervisor(
-            processes, options.care, shown.say, context=spinning.context,
+            processes, options.care, say, context=spinning.context,
             cli_args=options.ros_arguments,
         )
         spinning.add(supervisor)
-        on_start(supervisor)
-        with shown.watching(supervisor, domain):
+        with watching(supervisor, domain):
             spin_until(spinning.executor, supervisor.ended)
 
 

@@ -358,14 +358,7 @@ class Supervisor(Node):
         say: Callable[[str], None],
         **node: Any,
     ) -> None:
-        """Start supervision.
-
-        Args:
-            processes: the processes just started.
-            care: supervision options.
-            say: called with a line per event.
-            node: goes to :class:`rclpy.node.Node`.
-        """
+        """Start supervision of processes just started; ``say`` is called with a line per event."""
         super().__init__(interface.SUPERVISOR, start_parameter_services=False, **node)
         times = care.limit if care.restart is Restart.ON_FAILURE else 0
         self.nodes = [
@@ -424,7 +417,8 @@ class Supervisor(Node):
 
     def _wait(self, now_s: float) -> None:
         """Check which of the started nodes are ready."""
-        why = missing_nodes(self, self._names, self._gone())
+        gone = {end for watched in self.nodes for end in watched.gone}
+        why = missing_nodes(self, self._names, gone)
         for watched in self.nodes:
             if watched.state is not State.STARTING:
                 continue
@@ -444,10 +438,6 @@ class Supervisor(Node):
             self.ready = True
             self._say(f'ready: {", ".join(self._names)}')
 
-    def _gone(self) -> set[End]:
-        """Endpoints of all dead processes."""
-        return {end for watched in self.nodes for end in watched.gone}
-
     # Death and silence -----------------------------------------------------------------------
 
     def _handle_death(self, watched: WatchedNode, now_s: float) -> None:
@@ -461,7 +451,10 @@ class Supervisor(Node):
         self.runs.report_death(watched.name, detail)
         number = watched.limit.spend(now_s)
         if not number:
-            raise GraphLostError(self._too_often(watched, detail))
+            words = f'{watched.name} died: {detail}'
+            if self._care.restart is Restart.ON_FAILURE:
+                words += f'; it has died {self._care.limit + 1} times in {self._care.window_s:g} s'
+            raise GraphLostError(f'{words}; {_logs([watched])}')
         self._say(
             f'{watched.name} died: {detail}; restarted ({number} of {self._care.limit} in '
             f'{self._care.window_s:g} s)'
@@ -470,12 +463,6 @@ class Supervisor(Node):
         watched.process.start()
         watched.restarts += 1
         watched.begin(now_s)
-
-    def _too_often(self, watched: WatchedNode, detail: str) -> str:
-        words = f'{watched.name} died: {detail}'
-        if self._care.restart is Restart.ON_FAILURE:
-            words += f'; it has died {self._care.limit + 1} times in {self._care.window_s:g} s'
-        return f'{words}; {_logs([watched])}'
 
     def _check_answering(self, watched: WatchedNode, now_s: float) -> None:
         """Report nodes that stop answering, and those that answer again."""

@@ -23,6 +23,7 @@ from taxinet_ros.processes.child import module_command
 
 if TYPE_CHECKING:
     from taxinet_ros.campaign.options import CampaignOptions
+    from taxinet_ros.core.system import System
     from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
     from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
 
@@ -30,54 +31,34 @@ _BEAT_S = 1.0
 
 
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
-    """Command line of a worker for the runs of a campaign, by its engine.
-
-    Args:
-        campaign: campaign whose folder exists.
-        facts: its recorded facts.
-    """
+    """Command line of a worker for the runs of a campaign, by its engine."""
     from taxinet_ros.campaign.loop_run import campaign_loop
     from taxinet_ros.campaign.loop_worker import loop_worker_command
     from taxinet_ros.campaign.options import GRAPH
-    from taxinet_ros.campaign.record.facts import recorded_world
+    from taxinet_ros.campaign.record.facts import recorded_system
     from taxinet_ros.nodes.graph.runner import campaign_graph
 
-    recorded = facts['controller_sha256'], recorded_world(facts)[1]
+    system = recorded_system(campaign, facts)
     if campaign.engine == GRAPH:
-        return worker_command(campaign_graph(campaign, *recorded))
+        return worker_command(campaign_graph(campaign, system))
     return loop_worker_command(
-        campaign_loop(campaign, *recorded), campaign.audit_percent,
-        audit_command(campaign, *recorded),
+        campaign_loop(campaign, system), campaign.audit_percent, audit_command(campaign, system)
     )
 
 
-def audit_command(
-    campaign: CampaignOptions, controller_sha256: str, world_sha256: str
-) -> list[str]:
-    """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`.
-
-    Args:
-        campaign: the campaign.
-        controller_sha256: recorded hash of its controller.
-        world_sha256: recorded hash of the package that provides its world, or ''.
-    """
+def audit_command(campaign: CampaignOptions, system: System) -> list[str]:
+    """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`."""
     from taxinet_ros.campaign.options import AUDIT_FOLDER
     from taxinet_ros.nodes.graph.runner import campaign_graph
 
-    graph = campaign_graph(campaign, controller_sha256, world_sha256)
+    graph = campaign_graph(campaign, system)
     return worker_command(dataclasses.replace(graph, out=campaign.out / AUDIT_FOLDER))
 
 
 def worker_command(options: GraphOptions) -> list[str]:
-    """Command line of a worker with a graph."""
-    return module_command(
-        'taxinet_ros.nodes.graph.worker',
-        f'--perception={options.perception}', f'--out={options.out}',
-        f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
-        f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
-        f'--timing={options.timing.words}', f'--world={options.world}',
-        f'--world-sha256={options.world_sha256}',
-    )
+    """Command line of a worker with a graph, in a folder that exists."""
+    values = {**options.to_json(), 'out': str(options.out), 'make_out': False}
+    return module_command('taxinet_ros.nodes.graph.worker', f'--options={json.dumps(values)}')
 
 
 class _Inbox:
@@ -150,19 +131,14 @@ def main(words: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a usage error.
     """
     arguments = _arguments(words)
-    from taxinet_ros.core.pacing.timing import parse_timing
+    from taxinet_ros.core.system import system_values
     from taxinet_ros.nodes.graph.runner import GraphOptions
 
-    options = GraphOptions(
-        perception=arguments.perception, out=arguments.out, make_out=False,
-        images=arguments.images, gains=json.loads(arguments.gains),
-        controller=arguments.controller, controller_sha256=arguments.controller_sha256,
-        timing=parse_timing(arguments.timing), world=arguments.world,
-        world_sha256=arguments.world_sha256,
-    )
+    values = system_values(json.loads(arguments.options))
+    values |= {'out': Path(values['out'])}
     outbox = _Outbox(arguments.answers)
     try:
-        _work(options, outbox)
+        _work(GraphOptions(**values), outbox)
     except UsageError as error:
         outbox.say(error=str(error))
         return ExitCode.USAGE
@@ -191,15 +167,7 @@ def _work(options: GraphOptions, outbox: _Outbox) -> None:
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     parser.add_argument('--answers', type=int, required=True)
-    parser.add_argument('--perception', required=True)
-    parser.add_argument('--out', type=Path, required=True)
-    parser.add_argument('--images', required=True)
-    parser.add_argument('--gains', required=True)
-    parser.add_argument('--controller', required=True)
-    parser.add_argument('--controller-sha256', default='')
-    parser.add_argument('--timing', default='')
-    parser.add_argument('--world', required=True)
-    parser.add_argument('--world-sha256', default='')
+    parser.add_argument('--options', required=True)
     return parser.parse_args(words)
 
 

@@ -39,11 +39,6 @@ def check_answer(answer: StepMessage, who: str, seq: int) -> None:
 
     Late or repeated answers are allowed.
 
-    Args:
-        answer: an estimate or a command.
-        who: node that sent it.
-        seq: the newest frame.
-
     Raises:
         InfraError: it refers to a future frame, its stamp and frame number disagree, or a number
             of it is :func:`.subnormal`.
@@ -100,12 +95,6 @@ class ActiveRun:
         self, goal: Any, executor: Any, timing: Timing, make_world: WorldMaker = SimulatedWorld
     ) -> None:
         """Build the world of the goal's scenario.
-
-        Args:
-            goal: goal of the action.
-            executor: executor of the node.
-            timing: timing of answers.
-            make_world: factory of the world.
 
         Raises:
             UsageError: the scenario has a value out of range, a name that is no valid folder name,

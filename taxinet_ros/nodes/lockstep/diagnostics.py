@@ -49,12 +49,7 @@ class Diagnostics:
     """
 
     def __init__(self, node: Node, health: Callable[[], Health]) -> None:
-        """Declare the parameter and start.
-
-        Args:
-            node: the reporting node.
-            health: returns the health; called once per period.
-        """
+        """Declare the parameter and start; ``health`` is called once a period."""
         period_s = declare(node, PARAMETER)
         self._node, self._health = node, health
         self.watched = False

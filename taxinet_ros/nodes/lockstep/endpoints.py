@@ -5,16 +5,18 @@ earlier ``ros2 topic echo`` would be counted as a node of the run, and that node
 run's first messages.
 
 On each topic of a run every publisher of the table speaks exactly once. rclpy does not report who
-sent a message; so this is required before the first step, and again before the verdict.
+sent a message; so this is required before the first step, and again before the verdict. One that
+comes between two checks and leaves before the next is noticed by the subscriptions of its topic.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
@@ -29,13 +31,7 @@ _NAME_WAIT_S, _NAME_PERIOD_S = 0.5, 0.02
 
 
 def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
-    """Whether a publisher is matched with all of the given nodes.
-
-    Args:
-        node: node of the publisher.
-        publisher: the publisher.
-        names: names of the nodes that must be matched.
-    """
+    """Whether a publisher is matched with all of the given nodes."""
     matched = publisher.get_subscription_count()
     if matched < len(names):  # Much cheaper than the check below, and called often.
         return False
@@ -47,14 +43,7 @@ def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
 def hears(
     node: Node, subscription: Subscription, topic: Topic, participants: Sequence[str]
 ) -> bool:
-    """Whether a subscription is matched with each publisher of a run, and there is no other.
-
-    Args:
-        node: node of the subscription.
-        subscription: the subscription.
-        topic: its topic.
-        participants: names of the nodes of the run, without the simulator.
-    """
+    """Whether a subscription is matched with each publisher of a run, and there is no other."""
     matched = subscription.get_publisher_count()
     if matched < len(_wanted(topic, participants)):  # as above
         return False
@@ -95,6 +84,35 @@ def intruder(node: Node, topic: Topic, participants: Sequence[str]) -> tuple[str
     return None
 
 
+def second_publisher_events(
+    topic: Topic, on_second: Callable[[Topic], None]
+) -> SubscriptionEventCallbacks:
+    """Events of a subscription that report a publisher beside the one of the table, however brief.
+
+    Args:
+        topic: its topic; one of several publishers has none to report.
+        on_second: called with the topic when another publisher is matched.
+    """
+    present = 0
+
+    def matched(now: Any) -> None:
+        nonlocal present
+        before, present = present, now.current_count
+        # A publisher that was lost on a busy machine comes back where there is none.
+        if before and now.total_count_change:
+            on_second(topic)
+
+    alone = len(topic.publishers) == 1
+    return SubscriptionEventCallbacks(matched=matched if alone else None)
+
+
+def brief_intruder(node: Node, topic: Topic, participants: Sequence[str]) -> tuple[str, str]:
+    """As :func:`intruder`, of a topic on which a second publisher was just matched."""
+    wanted = min(_wanted(topic, participants))
+    left = wanted, f'a second publisher of {topic.name} came and left'
+    return intruder(node, topic, participants) or left
+
+
 def publisher_names(node: Node, topic: Topic) -> list[str]:
     """Node of each publisher of a topic; a name may become known only shortly after its end."""
     deadline = time.monotonic() + _NAME_WAIT_S
@@ -133,13 +151,7 @@ _CHOSEN = {
 
 
 def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) -> dict[str, str]:
-    """Nodes that are missing or incomplete, each with the reason as text.
-
-    Args:
-        node: the observing node.
-        names: names of the nodes of the graph.
-        gone: endpoints known to belong to dead processes.
-    """
+    """Nodes that are missing or incomplete without the endpoints ``gone``, each with the reason."""
     why: dict[str, str] = {}
     for topic in interface.TOPICS:
         speakers, listeners = (
@@ -159,13 +171,7 @@ def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) 
 
 
 def why_silent(node: Node, name: str, names: Sequence[str]) -> str:
-    """Reason why a node of a graph is silent, or '': a missing topic or incompatible endpoint.
-
-    Args:
-        node: the observing node.
-        name: name of the silent node.
-        names: names of the nodes of the graph.
-    """
+    """Reason why a node of a graph is silent, or '': a missing topic or incompatible endpoint."""
     if why := missing_nodes(node, names).get(name):
         return why
     inputs = [topic for topic in interface.TOPICS if name in _CHOSEN.get(topic.name, ())]

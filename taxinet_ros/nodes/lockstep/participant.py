@@ -16,11 +16,17 @@ from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.run.messages import progress_cdr
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
-from taxinet_ros.nodes.lockstep.endpoints import absent_publishers, heard_by, hears
+from taxinet_ros.nodes.lockstep.endpoints import (
+    absent_publishers,
+    brief_intruder,
+    heard_by,
+    hears,
+    second_publisher_events,
+)
 from taxinet_ros.nodes.messages.convert import blame_text, header, one_line
 from taxinet_ros.nodes.messages.step import is_read_raw, step_reader
 
@@ -90,10 +96,15 @@ class Participant(Node):
             newest: take only the last waiting message; in lockstep at most one waits.
         """
         if is_read_raw(topic) and not raw:
-            callback, raw = self._reading(topic, callback), True
+            read, hear, raw = step_reader(topic), callback, True
+
+            def callback(cdr: bytes) -> None:
+                hear(read(cdr))
+
         self._listeners.append((topic, self.create_subscription(
             topic.type, topic.name, self._guarded(callback),
             interface.NEWEST if newest else topic.end_qos, raw=raw,
+            event_callbacks=second_publisher_events(topic, self._on_second_publisher),
         )))
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
@@ -108,14 +119,13 @@ class Participant(Node):
             state=state,
             seq=seq,
             detail=detail,
-            listens=self._declared() if ready else [],
+            # In a free run, who must hear its timing is known without.
+            listens=[
+                topic.name for topic, _ in self._listeners if topic is not interface.TIMING
+            ] if ready else [],
             implementation=self.implementation,
             fingerprint=self.fingerprint,
         ))
-
-    def _declared(self) -> list[str]:
-        """Topics it declares; the simulator knows who must hear of a free run's timing."""
-        return [topic.name for topic, _ in self._listeners if topic is not interface.TIMING]
 
     def progress(self, seq: int, stamp_ns: int) -> bytes:
         """Serialised status for progress up to control step ``seq``."""
@@ -187,6 +197,14 @@ class Participant(Node):
         """End the run because of another node's error."""
         Participant.report(self, NodeStatus.ERROR, detail=blame_text(error))
 
+    def _on_second_publisher(self, topic: Topic) -> None:
+        """Report an intruder; the simulator ignores one that comes when no run is under way."""
+        if self._scenario is None or not self._poll.is_canceled():
+            return
+        who, detail = brief_intruder(self, topic, self._scenario.participants)
+        self.charge(InfraError(InfraKind.INTRUDER, who, -1, detail))
+        self._trouble = ''
+
     def _take(self, scenario: Scenario) -> None:
         if self.get_name() not in scenario.participants:
             return
@@ -220,11 +238,6 @@ class Participant(Node):
         for topic, heard in self._listeners:
             if not hears(self, heard, topic, present):
                 yield topic.name
-
-    @staticmethod
-    def _reading(topic: Topic, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
-        read = step_reader(topic)
-        return lambda cdr: callback(read(cdr))
 
     def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         @functools.wraps(callback)

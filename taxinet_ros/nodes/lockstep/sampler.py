@@ -263,7 +263,9 @@ class ScenarioSampler(Node):
         elif self._may_ask():
             assert self._request is not None
             self._ask(self._request, answer)
-        elif now - self._asked > server_timeout_s or self._is_shared():
+        elif now - self._asked > server_timeout_s or (
+            self.one_simulator and len(self._servers()) > 1
+        ):
             answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
 
     def _handle_of_sent(self) -> ClientGoalHandle:
@@ -273,9 +275,6 @@ class ScenarioSampler(Node):
         """
         accepted = interface.RUN_SCENARIO_TYPE.Impl.SendGoalService.Response(accepted=True)
         return ClientGoalHandle(self._client, self._sent, accepted)
-
-    def _is_shared(self) -> bool:
-        return self.one_simulator and len(self._servers()) > 1
 
     def _not_asked(self, within: str) -> RunResult:
         """Reason why there was no simulator, or more than one."""

@@ -137,15 +137,7 @@ def duplicate_node_error(node: str) -> InfraError:
 def death_notice(
     run_id: str, name: str, detail: str, *, kind: str = InfraKind.DIED, seq: int = 0
 ) -> NodeStatus:
-    """Message by which a supervisor reports a dead node to a run, which then ends.
-
-    Args:
-        run_id: the current run.
-        name: name of the node.
-        detail: how it ended, in one line.
-        kind: ``died``, or ``timeout`` of a simulator that stopped responding.
-        seq: last known control step of the run.
-    """
+    """Message that reports a dead node, or one that timed out, to a run, which then ends."""
     state = next(state for state, known in _KINDS.items() if known == kind)
     return NodeStatus(
         header=header(seq * CONTROL_PERIOD_NS, ''), run_id=run_id, node=name, state=state,

@@ -8,10 +8,11 @@ several times as long. Floats pass unchanged, so the graph matches the core's bi
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
+from taxinet_msgs.msg import Timing
 
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
@@ -122,15 +123,11 @@ def step_reader(topic: Topic) -> Callable[[Any], Any]:
     topic's type.
     """
     if not is_read_raw(topic):
-        return _as_it_is
+        return lambda message: message
     # rclpy's message objects cost three times as much, a seventh of a run (docs/performance.md).
     decode = decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
     read = _READ[topic.name]
     return lambda cdr: read(decode(cdr))
-
-
-def _as_it_is(message: Any) -> Any:
-    return message
 
 
 class TransformBroadcaster:
@@ -220,6 +217,17 @@ class StepCollector:
             step.missing -= self._expected[topic] - len(step.messages.pop(topic, ()))
         return () if step.missing or seq != self._next else self._whole()
 
+    def settle(self, timing: Timing) -> list[Step]:
+        """Drop the answers that frames of a free run do not get; return as :meth:`add`."""
+        settled = (
+            (interface.ESTIMATE.name, timing.unestimated),
+            (interface.COMMAND.name, timing.uncommanded),
+        )
+        return [
+            step for topic, frames in settled for frame in frames
+            for step in self.excuse(topic, frame)
+        ]
+
     def _whole(self) -> list[Step]:
         whole = []
         while (step := self._pending.get(self._next)) is not None and not step.missing:
@@ -231,6 +239,29 @@ class StepCollector:
     def torn(self) -> list[Step]:
         """Incomplete steps, oldest first, left by an aborted run."""
         return sorted((seq, step.messages) for seq, step in self._pending.items())
+
+
+class FreeProgress:
+    """What a follower of a free run reports: how far it has come, and its messages."""
+
+    def __init__(self, topics: Iterable[Topic]) -> None:
+        """``topics``: those of the simulator that it follows."""
+        self._arrived = {topic.name: -1 for topic in topics}
+        self._reported = (-1, -1)
+
+    def arrived(self, topic: str, seq: int) -> bool:
+        """Record the newest message of a topic; False if it is not one of those followed."""
+        if topic in self._arrived:
+            self._arrived[topic] = seq
+        return topic in self._arrived
+
+    def news(self, done: int) -> tuple[int, int] | None:
+        """Steps done and arrived, if they have changed since the last report."""
+        now = max(done, 0), max(min(self._arrived.values()), 0)
+        if now == self._reported:
+            return None
+        self._reported = now
+        return now
 
 
 class _Pending:

@@ -109,10 +109,6 @@ def check_workers(workers: int) -> None:
 def domain_number(text: str, where: str) -> int:
     """Read a ROS domain id.
 
-    Args:
-        text: the text given.
-        where: option or variable, for the error message.
-
     Raises:
         UsageError: it is not a domain id.
     """
@@ -123,10 +119,6 @@ def domain_number(text: str, where: str) -> int:
 
 def refuse_neighbours(domain: int, namespace: str = '/') -> None:
     """Check that no other graph is on a domain; once per process, some seconds if it is in use.
-
-    Args:
-        domain: the domain.
-        namespace: absolute namespace; graphs with other ones do not count.
 
     Raises:
         UsageError: there is another graph; the message names its node.

@@ -14,21 +14,10 @@ from taxinet_ros.processes.interrupts import interrupts_delayed
 
 
 class NodeExecutor:
-    """Spins nodes on a ROS domain; a context manager that removes them from the graph at its end.
-
-    Attributes:
-        context: rclpy context of the nodes.
-        executor: their executor.
-        nodes: the nodes.
-    """
+    """Spins nodes on a ROS domain; a context manager at whose end they leave the graph."""
 
     def __init__(self, domain: int, executor: Callable[..., Any] = EventsExecutor) -> None:
-        """Join a domain.
-
-        Args:
-            domain: domain id.
-            executor: factory of the executor, called with the keyword ``context``.
-        """
+        """Join a domain."""
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
         self.executor = executor(context=self.context)

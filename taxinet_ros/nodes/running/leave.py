@@ -29,9 +29,6 @@ def leave_graph(node: Any) -> None:
     """Destroy a node, which may be the last one of its context.
 
     Others of its context no longer notice who comes and goes, so they should leave as well.
-
-    Args:
-        node: an instance of :class:`rclpy.node.Node`.
     """
     _end_discovery(node)
     node.destroy_node()

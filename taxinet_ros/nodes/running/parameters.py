@@ -131,8 +131,8 @@ def refuse_unknown(node: Node) -> None:
         UsageError: a parameter is unknown; the message names the nearest known one.
     """
     known = list(node._parameters)
-    for name in _given(node):
-        if name in known:
+    for name in node._parameter_overrides:
+        if name in known or name in _OF_RCLPY:  # these are set for all nodes
             continue
         if name.startswith(_QOS):
             raise UsageError(f'{node.get_name()}: parameter {name}: {_FIXED}')
@@ -140,11 +140,6 @@ def refuse_unknown(node: Node) -> None:
         own = sorted(set(known) - set(_OF_RCLPY))
         hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(own) or "none"}'
         raise UsageError(f'{node.get_name()}: unknown parameter {name!r}; {hint}')
-
-
-def _given(node: Node) -> list[str]:
-    """Names of the parameters set for a node, except those set for all nodes."""
-    return [name for name in node._parameter_overrides if name not in _OF_RCLPY]
 
 
 _WIDTH = 100
@@ -218,10 +213,6 @@ def subscribed_topics(node: str, *but: str) -> tuple[str, ...]:
 
 def read_arguments(usage: Usage, arguments: Sequence[str]) -> bool:
     """Check that a command line has only ROS arguments.
-
-    Args:
-        usage: usage of the executable.
-        arguments: the command line, the program first.
 
     Returns:
         Whether help was requested and printed.

@@ -5,14 +5,12 @@ round searches for failures of the best network so far, trains it further on pla
 failed runs mixed with pictures of the whole world, runs both networks on scenes that neither has
 seen, and keeps the new one only if :mod:`.acceptance` finds it better.
 
-The folder contains the folder of every stage, ``stages.jsonl``, ``rounds.jsonl`` with the decision
-of each round and its reason, and ``best.safetensors`` with its card.
+The folder contains the folder of every stage, the record with the decision of each round and its
+reason, and ``best.safetensors`` with its card.
 """
 
 from __future__ import annotations
 
-import datetime
-import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,49 +19,17 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.causes.region import Region, part_of
-from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.core.perception.weights import card_path, load_model
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.atomic import make_atomically
-from taxinet_ros.files.journal import JournalOwner, open_journal
-from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.improve.acceptance import Decision, decide
 from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
 from taxinet_ros.study.stages.stage import Stage, analysis_stage, campaign_stage, training_stage
-
-ROUNDS_NAME = 'rounds.jsonl'
-_WHEN = 'date'
-
-
-class RoundLedger(JournalOwner):
-    """The open ledger of the rounds, for one process at a time. A context manager."""
-
-    def __init__(self, out: Path) -> None:
-        """Open it in the loop's folder, creating it if needed.
-
-        Raises:
-            UsageError: another process has it open, or it is damaged.
-        """
-        self._journal = open_journal(out / ROUNDS_NAME, 'taxinet improve')
-        self._known = [_undated(event) for event in self._journal.events]
-
-    def write(self, values: Mapping[str, Any]) -> None:
-        """Append a round, unless it is unchanged."""
-        plain = json.loads(json.dumps(values))
-        if plain in self._known:
-            return
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds')
-        self._journal.append({**plain, _WHEN: now})
-        self._journal.sync()
-        self._known.append(plain)
-
-
-def _undated(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if key != _WHEN}
-
 
 START = 'start.safetensors'
 """The initial network, copied so that the folder contains everything the loop depends on."""
@@ -98,7 +64,7 @@ def search_stage(options: ImproveOptions, number: int, incumbent: str) -> Stage:
     """Stage that searches for failures of the incumbent."""
     return _campaign(
         options, falsify_name(number), incumbent, options.sampler,
-        options.seed_of(number, FALSIFY), also=(f'{falsify_name(number)}/{RECORD_NAME}',),
+        options.seed_of(number, FALSIFY),
     )
 
 
@@ -115,7 +81,7 @@ def round_stages(
     """
     seed = options.seed_of(number, JUDGE)
     return (
-        analysis_stage(analyze_name(number), falsify_name(number), 1),
+        analysis_stage(analyze_name(number), falsify_name(number)),
         _training(options, number, incumbent, campaigns),
         _campaign(options, incumbent_name(number), incumbent, 'random', seed),
         _campaign(options, candidate_name(number), candidate_weights(number), 'random', seed),
@@ -123,28 +89,24 @@ def round_stages(
 
 
 def _campaign(
-    options: ImproveOptions, name: str, weights: str, sampler: str, seed: int,
-    also: tuple[str, ...] = (),
+    options: ImproveOptions, name: str, weights: str, sampler: str, seed: int
 ) -> Stage:
     return campaign_stage(
         name, options.program, sampler=sampler, seed=seed, runs=options.runs,
-        workers=options.workers, weights=weights, outputs=also,
+        workers=options.workers, weights=weights,
     )
 
 
 def _training(
     options: ImproveOptions, number: int, incumbent: str, campaigns: Sequence[str]
 ) -> Stage:
-    added = [word for portion in options.add for word in ('--add', portion)]
-    for campaign in campaigns:
-        added += ['--add-runs', f'{campaign}={options.counterexamples}']
     return training_stage(
-        candidate_weights(number), options.base, '--learning-rate', f'{options.learning_rate:g}',
-        '--start', incumbent, *['--varied'] * options.varied, *added,
+        candidate_weights(number), options.base, learning_rate=options.learning_rate,
+        start=incumbent, varied=options.varied, add=options.add,
+        add_runs=[f'{campaign}={options.counterexamples}' for campaign in campaigns],
         images=options.images, validation=options.validation,
-        added=options.counterexamples * len(campaigns), epochs=options.epochs,
-        seed=options.seed_of(number, TRAIN), workers=options.workers,
-        inputs=(incumbent, *(f'{campaign}/{RECORD_NAME}' for campaign in campaigns)),
+        epochs=options.epochs, seed=options.seed_of(number, TRAIN), workers=options.workers,
+        inputs=(incumbent, *(f'{campaign}/{PARQUET_NAME}' for campaign in campaigns)),
         programs=[text.rpartition('=')[0] for text in options.add],
     )
 
@@ -178,7 +140,7 @@ class Round:
     decision: Decision | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values for the ledger."""
+        """Plain values for the record."""
         return {
             'round': self.number, 'incumbent': self.incumbent, 'searched': self.searched,
             'failed': self.failed, 'causes': list(self.causes), 'clusters': list(self.clusters),
@@ -191,7 +153,7 @@ class Improvement:
     """The loop; finished stages are kept, so the same call continues an interrupted loop."""
 
     def __init__(
-        self, out: Path, options: ImproveOptions, ledger: RoundLedger, run_stages: RunStages,
+        self, out: Path, options: ImproveOptions, run_stages: RunStages,
         on_round: Callable[[Round], None],
     ) -> None:
         """Prepare the loop; nothing is started yet.
@@ -199,13 +161,11 @@ class Improvement:
         Args:
             out: folder of the loop.
             options: options of the loop.
-            ledger: ledger of the rounds.
-            run_stages: runs a round's commands.
+            run_stages: runs stages.
             on_round: called with each finished round.
         """
         self._out = out
         self._options = options
-        self._ledger = ledger
         self._run_stages = run_stages
         self._on_round = on_round
         self._incumbent = START
@@ -224,7 +184,6 @@ class Improvement:
             code, done = self._round(number)
             if done is None:
                 return code
-            self._ledger.write(done.to_json())
             self._on_round(done)
             if done.decision is None:
                 break
@@ -260,9 +219,8 @@ class Improvement:
             ),
         )
 
-    def _judged(self, campaign: str) -> list[RunRow]:
-        rows = read_campaign(self._out / campaign).rows
-        return [row for row in rows if row.outcome.judged]
+    def _judged(self, campaign: str) -> Sequence[RunRow]:
+        return open_campaign(self._out / campaign).judged
 
     def _analysis(self, number: int) -> Mapping[str, Any]:
         path = self._out / analyze_name(number) / 'analysis.json'

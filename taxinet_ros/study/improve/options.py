@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from taxinet_ros import registry
 from taxinet_ros.campaign.samplers.registry import SAMPLERS
 from taxinet_ros.campaign.scenes.programs import find_program, known_programs
 from taxinet_ros.core.perception.weights import load_model, weights_path
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 from taxinet_ros.training.data.portions import parse_portion
-
-FACTS_NAME = 'improve.json'
 
 _LIMITS: dict[str, tuple[float, float]] = {
     'rounds': (1, 100), 'budget': (6, 10_000_000), 'images': (1, 1_000_000),
@@ -97,7 +93,7 @@ class ImproveOptions:
         return self.budget // (3 * self.rounds)
 
     def checked(self) -> Self:
-        """The same with absolute program paths, since the commands run in another folder.
+        """The same with absolute program paths, since the stages run in another folder.
 
         Raises:
             UsageError: a program or the network cannot be used.
@@ -118,55 +114,9 @@ class ImproveOptions:
         """Seed for one purpose in a round."""
         return 100_000 * (self.seed + 1) + 10 * number + purpose
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :meth:`from_json`."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Create from the values of :meth:`to_json`.
-
-        Raises:
-            UsageError: values are missing, unknown or out of range.
-        """
-        names = {field.name for field in fields(cls)}
-        if set(values) != names:
-            raise UsageError(f'has not the keys {", ".join(sorted(names))}')
-        try:
-            return cls(**{**values, 'add': tuple(values['add'])})
-        except TypeError as error:
-            raise UsageError(f'has a value that cannot be: {error}') from error
-
 
 def _absolute_program(program: str) -> str:
     """A program's word, or its path made absolute."""
     path = find_program(program)
     return program if program in known_programs() else str(path.resolve())
 
-
-def write_options(out: Path, options: ImproveOptions) -> None:
-    """Write the options into the folder.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    write_sealed(out / FACTS_NAME, options.to_json())
-
-
-def read_options(out: Path) -> ImproveOptions:
-    """Read the options from the folder.
-
-    Raises:
-        UsageError: the folder is not one of ``taxinet improve``, or the file is damaged.
-    """
-    path = out / FACTS_NAME
-    try:
-        values = read_sealed(path).values
-    except OSError as error:
-        raise UsageError(
-            f'--resume: {path}: {error.strerror}; name the folder of an earlier taxinet improve'
-        ) from error
-    try:
-        return ImproveOptions.from_json(values)
-    except UsageError as error:
-        raise UsageError(f'{path}: {error}') from error

@@ -33,8 +33,8 @@ from taxinet_ros.study.report.tables import (
     stages_frame,
 )
 from taxinet_ros.study.stages.config import StudyConfig
-from taxinet_ros.study.stages.log import read_records
 from taxinet_ros.study.stages.plan import REPORT, stages
+from taxinet_ros.study.stages.record import read_stages
 from taxinet_ros.version import __version__
 
 PAGE_NAME, JSON_NAME = 'case_study.html', 'case_study.json'
@@ -97,7 +97,7 @@ def gather_findings(config: StudyConfig, out: Path, tables: Path | None = None) 
         config=config, out=out, results=results, claims=judge_claims(results),
         networks=networks_frame(results), hours=hours_frame(results),
         distances=distances_frame(results), pairs=pairs_frame(results),
-        learned=learned_frame(results), stages=stages_frame(found, read_records(out)),
+        learned=learned_frame(results), stages=stages_frame(found, read_stages(out)),
     )
 
 

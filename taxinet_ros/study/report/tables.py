@@ -20,7 +20,6 @@ from taxinet_ros.campaign.learned_result import share_of_failures
 from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.study.report.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
 from taxinet_ros.study.report.results import Network, Results
-from taxinet_ros.study.stages.log import StageRecord
 from taxinet_ros.study.stages.plan import (
     BEST,
     GENERIC,
@@ -29,7 +28,7 @@ from taxinet_ros.study.stages.plan import (
     ORIGINAL,
     SPECIALISED,
 )
-from taxinet_ros.study.stages.progress import Records
+from taxinet_ros.study.stages.record import StageRecord, Stages
 from taxinet_ros.study.stages.stage import Stage
 
 PAIRS = (
@@ -186,7 +185,7 @@ def _median(values: np.ndarray) -> float:
     return float(np.median(known)) if len(known) else math.nan
 
 
-def stages_frame(found: Sequence[Stage], records: Records) -> pd.DataFrame:
+def stages_frame(found: Sequence[Stage], records: Stages) -> pd.DataFrame:
     """One row per stage; ``done`` is False if the log has no end event of it."""
     return pd.DataFrame([
         _stage_line(stage, records.get(stage.name, StageRecord())) for stage in found
@@ -200,7 +199,7 @@ def _stage_line(stage: Stage, record: StageRecord) -> dict[str, Any]:
         'wall_s': record.wall_s if record.sittings else None, 'sittings': record.sittings,
         'at_least': record.killed, 'cores': facts.get('cores'), 'workers': facts.get('workers'),
         'date': facts.get('date', ''), 'version': facts.get('version', ''),
-        'skipped': record.skipped, 'command': shlex.join(['taxinet', *stage.command()]),
+        'skipped': record.skipped, 'command': shlex.join(['taxinet', *stage.words()]),
     }
 
 

@@ -1,7 +1,6 @@
-"""Configuration of a case study: validate, scale, read and write.
+"""Configuration of a case study: validate, scale and read.
 
-YAML for user files (``scenarios/case_study.yaml``), JSON in a study's folder. Every error message
-is one line with the file, the key, and the expected value.
+Every error message is one line with the file, the key, and the expected value.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, is_number, read_yaml
-from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
 LEAST_IMAGES, LEAST_VALIDATION, LEAST_EPOCHS = 128, 32, 2
 LEAST_RUNS, LEAST_LOCALIZED, LEAST_PAIRS = 20, 5, 10
@@ -137,7 +135,6 @@ def resized(
 
 
 SHIPPED = 'case_study.yaml'
-STUDY_NAME = 'study.json'
 _LEARNERS = ('ce', 'ce-verifai', 'mab')
 """Samplers that write a learned distribution as a program."""
 _MOST_SHARE = 10
@@ -186,33 +183,10 @@ def read_config(path: Path) -> StudyConfig:
     return config
 
 
-def write_study(out: Path, config: StudyConfig) -> None:
-    """Write a study's configuration, for ``--resume`` and for its report."""
-    write_sealed(out / STUDY_NAME, dataclasses.asdict(config))
-
-
-def read_study(out: Path, option: str) -> StudyConfig:
-    """Read the configuration of the study in ``out``.
-
-    Args:
-        out: folder of the study.
-        option: option that needs it, for the error message.
-
-    Raises:
-        UsageError: no study was started there, or the file is damaged.
-    """
-    path = out / STUDY_NAME
-    try:
-        values = read_sealed(path).values
-        lists = {name: tuple(values[name]) for name in ('samplers', 'learning_seeds')}
-        return StudyConfig(**{**values, **lists})
-    except FileNotFoundError:
-        raise UsageError(
-            f'{option}: {path}: no such file, so there is no case study; '
-            f'{"leave --resume out" if option == "--resume" else "name its folder with --out"}'
-        ) from None
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise UsageError(f'{path}: cannot be read ({error}); name another --out') from error
+def study_of(values: Mapping[str, Any]) -> StudyConfig:
+    """The configuration in a study's record."""
+    lists = {name: tuple(values[name]) for name in ('samplers', 'learning_seeds')}
+    return StudyConfig(**{**values, **lists})
 
 
 class _Values:

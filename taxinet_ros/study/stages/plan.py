@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.stage import (
-    Kind,
     Resume,
     Stage,
     analysis_stage,
     campaign_stage,
     training_stage,
-    workers_option,
 )
 
 ORIGINAL, GENERIC, HALTON, SPECIALISED = 'original', 'generic', 'halton', 'specialised'
@@ -29,9 +28,6 @@ PAPER_RULE = 'ce-verifai'
 FALSIFY, ANALYZE, LOCALIZE, REPORT = (
     'falsify-original', 'analyze-original', 'localize-original', 'report'
 )
-
-_TRIALS = 4
-"""Reruns of one failed run by ``taxinet localize``: unchanged, and with three substitutions."""
 
 
 def campaign_of(network: str) -> str:
@@ -66,10 +62,11 @@ def stages(config: StudyConfig) -> tuple[Stage, ...]:
         found.append(_evaluation(config, BEST, config.best))
     everything = tuple(name for stage in found for name in stage.outputs)
     found.append(Stage(
-        name=REPORT, words=('case-study', '--report-only', '--out', '.'), wants=everything,
+        name=REPORT, command='case-study', options={'report_only': True, 'out': '.'},
+        wants=everything,
         outputs=(f'{REPORT}/case_study.html', f'{REPORT}/case_study.json',
                  f'{REPORT}/networks.parquet'),
-        kind=Kind.REPORT, amount=1, resume=Resume.REPLACE,
+        resume=Resume.REPLACE,
     ))
     return tuple(found)
 
@@ -93,12 +90,12 @@ def _falsification(config: StudyConfig) -> Iterator[Stage]:
 
 def _debugging(config: StudyConfig) -> Iterator[Stage]:
     table = f'{FALSIFY}/{PARQUET_NAME}'
-    yield analysis_stage(ANALYZE, FALSIFY, 2)
+    yield analysis_stage(ANALYZE, FALSIFY)
     yield Stage(
-        name=LOCALIZE, words=('localize', FALSIFY, '--out', LOCALIZE), runs=config.localized,
-        hints=workers_option(config.workers), inputs=(table,),
-        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
-        amount=_TRIALS * config.localized, resume=Resume.SAME, needs_failures=FALSIFY,
+        name=LOCALIZE, command='localize', argument=FALSIFY, options={'out': LOCALIZE},
+        runs=config.localized, hints={'workers': config.workers}, inputs=(table,),
+        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), resume=Resume.SAME,
+        needs_failures=FALSIFY,
     )
     for word, runs in config.experiments.items():
         yield _experiment(config, word, runs)
@@ -107,18 +104,19 @@ def _debugging(config: StudyConfig) -> Iterator[Stage]:
 def _experiment(config: StudyConfig, word: str, runs: int) -> Stage:
     name, weights = f'experiment-{Path(word).stem}', weights_of(ORIGINAL)
     return Stage(
-        name=name, words=('experiment', word, '--perception', weights, '--out', name), runs=runs,
-        hints=workers_option(config.workers), inputs=(weights,), experiment=word,
-        outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), kind=Kind.RUNS,
-        amount=2 * runs, resume=Resume.OPTION, accepts=(0, 4),
+        name=name, command='experiment', argument=word,
+        options={'perception': weights, 'out': name}, runs=runs,
+        hints={'workers': config.workers}, inputs=(weights,), experiment=word,
+        outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), accepts=(0, 4),
+        resume=Resume.OPTION,
     )
 
 
 def _retraining(config: StudyConfig) -> Iterator[Stage]:
     yield _training(config, GENERIC, config.generic)
-    yield _training(config, HALTON, config.generic, '--sampler', 'halton')
-    yield _training(config, SPECIALISED, config.specialised,
-                    '--validation-program', config.generic)
+    yield _training(config, HALTON, config.generic, sampler='halton')
+    yield _training(
+        config, SPECIALISED, config.specialised, validation_program=config.generic)
     for network in (GENERIC, HALTON, SPECIALISED):
         yield _evaluation(config, network)
 
@@ -139,25 +137,25 @@ def _iteration(config: StudyConfig) -> Iterator[Stage]:
     for network, program in zip(ITERATIVE, programs, strict=True):
         # The same seed, for the images of the generic network and additional ones.
         yield _training(
-            config, network, config.generic, '--start', weights_of(GENERIC),
-            '--add', f'{program}={config.added}', epochs=config.further_epochs, added=program,
+            config, network, config.generic, epochs=config.further_epochs, added=program,
+            start=weights_of(GENERIC), add=[f'{program}={config.added}'],
         )
     for network in ITERATIVE:
         yield _evaluation(config, network)
 
 
 def _training(
-    config: StudyConfig, network: str, program: str, *more: str, epochs: int = 0, added: str = ''
+    config: StudyConfig, network: str, program: str, *, epochs: int = 0, added: str = '',
+    **more: Any,
 ) -> Stage:
     """Training of a network; further training of the generic one if images are added."""
     learned = added if added == learned_program(config) else ''
     inputs = [weights_of(GENERIC)] * bool(added) + [learned] * bool(learned)
-    others = [added] * bool(added) + [config.generic] * ('--validation-program' in more)
+    others = [added] * bool(added) + [config.generic] * ('validation_program' in more)
     return training_stage(
-        weights_of(network), program, *more, images=config.images, validation=config.validation,
-        added=config.added if added else 0, epochs=epochs or config.epochs,
-        seed=config.training_seed, workers=config.workers, inputs=inputs, programs=others,
-        needs=learned,
+        weights_of(network), program, images=config.images, validation=config.validation,
+        epochs=epochs or config.epochs, seed=config.training_seed, workers=config.workers,
+        inputs=inputs, programs=others, needs=learned, **more,
     )
 
 

@@ -1,25 +1,18 @@
-"""Progress of a study: finished and outdated stages, remaining time, and their display text."""
+"""Progress of a study: finished and outdated stages, and their display text."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 
 from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.study.stages.config import StudyConfig
-from taxinet_ros.study.stages.log import StageRecord
-from taxinet_ros.study.stages.stage import Kind, Stage
-
-Records = Mapping[str, StageRecord]
-_DEFAULT_SECONDS = {Kind.RUNS: 3.5, Kind.TRIALS: 2.0, Kind.LOOKS: 0.0025, Kind.REPORT: 60.0}
-"""Default time per unit on one core of a small machine, until the study has measured it [s]."""
-_START_S = 25.0
-"""Start-up time of every command [s]."""
-_SHARED_AMONG_WORKERS = (Kind.RUNS, Kind.TRIALS)
-"""Kinds of work that are divided among workers."""
+from taxinet_ros.study.stages.record import StageRecord, Stages
+from taxinet_ros.study.stages.stage import Stage
+from taxinet_ros.training.data.unfinished import is_begun
 
 
 class State(Enum):
@@ -32,7 +25,7 @@ class State(Enum):
     OPEN = 'to do'
 
 
-def state_of(stage: Stage, records: Records, out: Path) -> State:
+def state_of(stage: Stage, records: Stages, out: Path) -> State:
     """State of a stage, from its current dependencies and the contents of its folder.
 
     Raises:
@@ -50,47 +43,15 @@ def state_of(stage: Stage, records: Records, out: Path) -> State:
 
 
 def can_resume(folder: Path) -> bool:
-    """Whether a campaign, or an arm of an experiment, has a record."""
-    return any(is_campaign(folder / place) for place in ('', *_names(folder)))
-
-
-def seconds_left(
-    rest: Iterable[Stage], found: Sequence[Stage], records: Records, workers: int
-) -> float:
-    """Estimated duration of some stages [s].
-
-    Args:
-        rest: these stages.
-        found: all stages; those done show the speed of this machine.
-        records: records of all stages.
-        workers: number of concurrent processes.
-    """
-    pace = {
-        kind: one_s / (workers if kind in _SHARED_AMONG_WORKERS else 1)
-        for kind, one_s in _DEFAULT_SECONDS.items()
-    }
-    pace |= _measured(found, records)
-    return sum(_START_S + stage.amount * pace[stage.kind] for stage in rest)
-
-
-def _measured(found: Sequence[Stage], records: Records) -> dict[Kind, float]:
-    """Wall time per unit of each kind, measured on the finished stages."""
-    sums: dict[Kind, tuple[float, float]] = {}
-    for stage in found:
-        record = records.get(stage.name, StageRecord())
-        if record.key and not record.killed and not record.skipped:
-            wall_s, amount = sums.get(stage.kind, (0.0, 0.0))
-            work_s = max(record.wall_s - _START_S, 0.2 * record.wall_s)
-            sums[stage.kind] = (wall_s + work_s, amount + stage.amount)
-    return {kind: wall_s / amount for kind, (wall_s, amount) in sums.items()}
+    """Whether there is a campaign, an arm of an experiment, or an unfinished training."""
+    return any(
+        is_campaign(place) or is_begun(place)
+        for place in (folder, *folder.glob('*/'))
+    )
 
 
 def _is_not_empty(folder: Path) -> bool:
     return folder.is_dir() and any(folder.iterdir())
-
-
-def _names(folder: Path) -> list[str]:
-    return [path.name for path in folder.iterdir()] if folder.is_dir() else []
 
 
 def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str:
@@ -105,16 +66,11 @@ def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str
 def stage_line(number: int, found: Sequence[Stage], *, resume: bool = False) -> str:
     """Display text with number, name and command of a stage."""
     stage = found[number - 1]
-    command = shlex.join(['taxinet', *stage.command(resume=resume)])
+    command = shlex.join(['taxinet', *stage.words(resume=resume)])
     return f'[{number}/{len(found)}] {stage.name}: {command}'
 
 
-def time_line(elapsed_s: float, left_s: float) -> str:
-    """Display text of the elapsed and the remaining time."""
-    return f'{clock(elapsed_s)} elapsed, about {rough_duration(left_s)} left'
-
-
-def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]:
+def list_lines(found: Sequence[Stage], records: Stages, out: Path) -> list[str]:
     """One line per stage with its state and command."""
     width = max(len(stage.name) for stage in found)
     lines = []
@@ -123,7 +79,7 @@ def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]
         words = f'{state.value:<5}'
         if state is State.DONE:
             words += f' in {clock(records[stage.name].wall_s)}'
-        command = shlex.join(['taxinet', *stage.command()])
+        command = shlex.join(['taxinet', *stage.words()])
         lines.append(f'{number:2d}  {stage.name:<{width}}  {words:<17}  {command}')
     return lines
 

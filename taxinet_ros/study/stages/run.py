@@ -1,73 +1,32 @@
-"""Run the unfinished stages of a study one after the other, each as a process."""
+"""Run the unfinished stages of a study one after the other."""
 
 from __future__ import annotations
 
-import signal
+import contextlib
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
+from taxinet_ros.bag.errors import BagError
 from taxinet_ros.campaign.options import AUDIT
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
-from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import STUDY_OUT
-from taxinet_ros.processes.child import ChildProcess, exit_words, package_environment
-from taxinet_ros.processes.interrupts import interrupts
-from taxinet_ros.study.stages.log import StageLog, stack_warning
+from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.files.record import Record
+from taxinet_ros.processes.interrupts import interrupts_received
 from taxinet_ros.study.stages.progress import (
     State,
     can_resume,
     clock,
-    seconds_left,
     stage_line,
     state_of,
-    time_line,
 )
+from taxinet_ros.study.stages.record import STAGE, StageRecord, read_stages, stack_warning
 from taxinet_ros.study.stages.stage import Resume, Stage
 
-_ERROR = 'taxinet: error: '
-_REFUSED = (ExitCode.USAGE, ExitCode.INCOMPLETE, ExitCode.INFRA)
-_GRACE_S = 20.0
-"""Time [s] from a second request to end until a command is killed."""
-
-
-def run_command(
-    command: Sequence[str], out: Path, folder: Path, log: Path | None = None
-) -> tuple[int, bool, str]:
-    """Run a command to its end.
-
-    It runs in its own process group, so that it receives Ctrl-C only through us, and only once: the
-    first one ends it in order, the second one immediately.
-
-    Args:
-        command: the program with its arguments.
-        out: folder of the study, which it does not make anew.
-        folder: working directory.
-        log: file to which its output is appended; None: it is shown.
-
-    Returns:
-        Its exit code, negative for the signal that killed it; whether we were interrupted; and the
-        last line of its log, '' without one.
-    """
-    asked: list[bool] = []
-    with ChildProcess(
-        'stage', command, folder=folder, new_session=False, log=log,
-        environment={**package_environment(), STUDY_OUT: str(out.absolute())},
-    ) as child:
-
-        def pass_on() -> None:
-            asked.append(True)
-            child.process.send_signal(signal.SIGINT)
-
-        try:
-            with interrupts(pass_on):
-                child.wait()
-        except KeyboardInterrupt:
-            asked.append(True)
-            child.process.send_signal(signal.SIGINT)
-            child.wait(_GRACE_S)
-    assert child.code is not None
-    return child.code, bool(asked), child.last_line()
+Work = Callable[[Stage, bool], int]
+"""Calls the function of a stage, to go on with it or not; its exit code."""
+_INTERRUPTED = (ExitCode.INTERRUPTED, ExitCode.TERMINATED)
 
 
 class StudyRun:
@@ -78,21 +37,21 @@ class StudyRun:
     """
 
     def __init__(
-        self, out: Path, found: Sequence[Stage], *, log: StageLog, command: Sequence[str],
-        workers: int, show: Callable[[str], None], folder: Path | None = None,
-        logs: Path | None = None, again: str = '--resume',
+        self, out: Path, found: Sequence[Stage], *, record: Record, work: Work, workers: int,
+        show: Callable[[str], None], folder: Path | None = None, logs: Path | None = None,
+        again: str = '--resume',
     ) -> None:
         """Prepare the sitting; nothing is started yet.
 
         Args:
             out: folder of the study.
             found: the requested stages.
-            log: log of the stages.
-            command: program that accepts a stage's words.
-            workers: processes per stage, to estimate the remaining time.
+            record: the open record of the study.
+            work: calls the function of a stage.
+            workers: processes per stage, for the record.
             show: prints a line.
-            folder: working directory of the commands; None: the study's folder.
-            logs: existing folder for what the commands print; None: it is shown.
+            folder: working directory of the stages; None: the study's folder.
+            logs: existing folder for what the stages print; None: it is shown.
             again: what continues the study, for messages.
         """
         self.refused: dict[str, str] = {}
@@ -101,10 +60,11 @@ class StudyRun:
         self._again = again
         self._out = out
         self._stages = tuple(found)
-        self._log = log
-        self._command = tuple(command)
+        self._record = record
+        self._work = work
         self._workers = workers
         self._show = show
+        self._records = read_stages(out)
 
     def run(self) -> int:
         """Run the unfinished stages.
@@ -117,13 +77,13 @@ class StudyRun:
             RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
-        if warning := stack_warning(self._log.records):
+        if warning := stack_warning(self._records):
             self._show(warning)
         self._began = time.monotonic()
         for number, stage in enumerate(self._stages, 1):
-            state = state_of(stage, self._log.records, self._out)
+            state = state_of(stage, self._records, self._out)
             if state is State.DONE:
-                took = clock(self._log.records[stage.name].wall_s)
+                took = clock(self._records[stage.name].wall_s)
                 self._show(f'[{number}/{len(self._stages)}] {stage.name}: done, kept ({took})')
                 continue
             code = self._stage(number, stage, state)
@@ -134,7 +94,7 @@ class StudyRun:
     def _check_runs(self) -> None:
         """Check that no campaign would shrink; none is discarded."""
         for stage in self._stages:
-            record = self._log.records.get(stage.name)
+            record = self._records.get(stage.name)
             if record is None or not stage.runs or record.runs <= stage.runs:
                 continue
             if stage.ready(self._out) and record.identity == stage.identity(self._out):
@@ -145,42 +105,67 @@ class StudyRun:
 
     def _stage(self, number: int, stage: Stage, state: State) -> int:
         """Run one stage; return 0 if it is done."""
-        self._log.check_in_place()
+        self._record.check_in_place()
         resume = self._make_room(stage, state)
-        rest = self._stages[number - 1:]
-        left_s = seconds_left(rest, self._stages, self._log.records, self._workers)
         self._show('')
         self._show(stage_line(number, self._stages, resume=resume))
-        self._show(time_line(time.monotonic() - self._began, left_s))
+        self._show(f'{clock(time.monotonic() - self._began)} elapsed')
         key = stage.key(self._out)
-        self._log.write('begin', stage.name, identity=stage.identity(self._out), runs=stage.runs,
-                        resumed=resume)
+        record = self._records.get(stage.name, StageRecord()).started(
+            stage.identity(self._out), stage.runs, resumed=resume)
+        self._put(stage, record)
         if why := self._nothing_to_do(stage):
             self._show(why)
-            self._log.write('end', stage.name, key=key, outputs={}, wall_s=0.0, skipped=why)
+            self._put(stage, record.done(key, {}, 0.0, self._workers, why))
             return ExitCode.OK
-        words = stage.command(resume=resume)
-        begun = time.monotonic()
-        output = self._logs and self._logs / f'{stage.name}.log'
-        code, interrupted, said = run_command(
-            [*self._command, *words], self._out, self._folder, output
-        )
+        begun, before = time.monotonic(), interrupts_received()
+        try:
+            code = self._call(stage, resume=resume)
+        except KeyboardInterrupt:
+            code = ExitCode.INTERRUPTED
+        except Exception as error:
+            self._record.check_in_place()  # first, so that no missing file is reported instead
+            self._put(stage, record.stopped(time.monotonic() - begun))
+            if stage.optional and isinstance(error, (UsageError, InfraError, BagError)):
+                return self._refuse(stage, str(error))
+            self._show(f'stopped at {stage.name}; once it is mended, {self._again} goes on')
+            raise
         wall_s = time.monotonic() - begun
-        self._log.check_in_place()  # first, so that no missing file is reported instead
-        trouble = self._trouble(stage, code)
-        if trouble:
-            self._log.write('stopped', stage.name, wall_s=wall_s, code=code)
-            if stage.optional and not interrupted and code in _REFUSED:
-                self.refused[stage.name] = said.removeprefix(_ERROR) or trouble
-                self._show(f'{stage.name}: not done: {self.refused[stage.name]}')
-                return ExitCode.OK
-            trouble = f'{trouble}: {said}' if said else trouble
-            return self._stopped(stage, code, trouble, interrupted=interrupted)
-        self._log.write('end', stage.name, key=key, outputs=stage.results(self._out),
-                        wall_s=wall_s, code=code, command=list(words), workers=self._workers)
+        interrupted = code in _INTERRUPTED or interrupts_received() > before
+        self._record.check_in_place()
+        if trouble := self._trouble(stage, code):
+            self._put(stage, record.stopped(wall_s))
+            if interrupted:
+                self._show(f'interrupted in {stage.name}; {self._again} goes on')
+                return ExitCode.INTERRUPTED
+            if stage.optional:
+                return self._refuse(stage, trouble)
+            self._show(f'stopped at {stage.name}: {trouble}; once it is mended, {self._again} '
+                       'goes on')
+            return ExitCode.INFRA if code in stage.accepts else code
+        self._put(stage, record.done(key, stage.results(self._out), wall_s, self._workers))
         if interrupted:
             self._show(f'interrupted after {stage.name}; {self._again} goes on')
             return ExitCode.INTERRUPTED
+        return ExitCode.OK
+
+    def _call(self, stage: Stage, *, resume: bool) -> int:
+        """Call the function of a stage; its output goes to its log, if there are logs."""
+        with contextlib.ExitStack() as around:
+            if self._logs is not None:
+                log = around.enter_context((self._logs / f'{stage.name}.log').open('a'))
+                around.enter_context(contextlib.redirect_stdout(log))
+                around.enter_context(contextlib.redirect_stderr(log))
+            around.enter_context(contextlib.chdir(self._folder))
+            return self._work(stage, resume)
+
+    def _put(self, stage: Stage, state: StageRecord) -> None:
+        self._record.put(STAGE, stage.name, asdict(state))
+        self._records[stage.name] = state
+
+    def _refuse(self, stage: Stage, why: str) -> int:
+        self.refused[stage.name] = why
+        self._show(f'{stage.name}: not done: {why}')
         return ExitCode.OK
 
     def _make_room(self, stage: Stage, state: State) -> bool:
@@ -203,7 +188,7 @@ class StudyRun:
             return f'there is no {stage.needs}, for nothing was found: nothing to do'
         if not stage.needs_failures:
             return ''
-        outcomes = read_table(self._out / stage.needs_failures)['outcome']
+        outcomes = read_table(self._out / stage.needs_failures / PARQUET_NAME)['outcome']
         if (outcomes == 'FAIL').any():
             return ''
         return f'none of the {len(outcomes)} runs of {stage.needs_failures} failed: nothing to do'
@@ -211,7 +196,7 @@ class StudyRun:
     def _trouble(self, stage: Stage, code: int) -> str:
         """Reason why a stage that has ended is not done; '' if it is done."""
         if code not in stage.accepts:
-            return exit_words(code)
+            return f'exit code {code}'
         missing = [name for name in stage.outputs if not (self._out / name).is_file()]
         if missing:
             return f'{missing[0]} is missing'
@@ -224,13 +209,6 @@ class StudyRun:
         if len(rows) < stage.runs:
             return f'{len(rows):,} of {stage.runs:,} runs were made'
         return ''
-
-    def _stopped(self, stage: Stage, code: int, trouble: str, *, interrupted: bool) -> int:
-        if interrupted or code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
-            self._show(f'interrupted in {stage.name}; {self._again} goes on')
-            return ExitCode.INTERRUPTED
-        self._show(f'stopped at {stage.name}: {trouble}; once it is mended, {self._again} goes on')
-        return code if code > 0 and code not in stage.accepts else ExitCode.INFRA
 
 
 def _unused_name(folder: Path) -> Path:

@@ -1,6 +1,6 @@
-"""A stage of a study: one ``taxinet`` command with its inputs and outputs.
+"""A stage of a study: a function of the package, with its inputs and outputs.
 
-Also the kinds of stage shared by the case study and ``taxinet improve``: campaigns, analyses,
+Also the kinds of stage shared by the case study and the improvement loop: campaigns, analyses,
 trainings.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -30,42 +30,31 @@ class Resume(Enum):
     ANEW = 'anew'
     """Start from the beginning."""
     OPTION = 'option'
-    """Add ``--resume``."""
+    """Go on in its folder, by the option ``resume``."""
     SAME = 'same'
-    """Repeat the same command."""
+    """Call it again."""
     REPLACE = 'replace'
     """Start from the beginning and replace earlier results."""
 
 
-class Kind(Enum):
-    """Kind of work of a stage, which determines its duration."""
-
-    RUNS = 'runs'
-    """Amount: runs of 30 s on the graph."""
-    TRIALS = 'trials'
-    """Amount: runs without a graph."""
-    LOOKS = 'looks'
-    """Amount: pictures times epochs; rendering one counts as a few."""
-    REPORT = 'report'
-    """Amount: 1."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One command of a case study. Paths are relative to the study's folder, its working directory.
+    """A call of the function of a command. Paths are relative to the folder in which it is made.
 
     Attributes:
         name: name of the stage and of its folder.
-        words: the command, without ``taxinet``, ``--runs`` and ``hints``.
-        hints: options that do not affect the result, such as ``--workers``.
-        runs: value of ``--runs``, or 0 if it has none. A stage started with fewer continues.
+        command: the command of the same function.
+        argument: its argument, or ''.
+        options: its options, by name.
+        hints: options that do not affect the result, such as ``workers``.
+        runs: value of the option ``runs``, or 0 if it has none. A stage started with fewer
+            continues.
         inputs: files of earlier stages.
         wants: optional further inputs.
         programs: Scenic programs, as words or paths.
         experiment: word or file of the experiment, or ''.
         perception: a network from outside the study, or ''.
         outputs: its output files.
-        kind, amount: kind and amount of its work.
         resume: how it is continued.
         accepts: exit codes that mean done: 1 if a run violates its formula; 4 if a run had an
             infrastructure error, which is counted and shown.
@@ -77,11 +66,11 @@ class Stage:
     """
 
     name: str
-    words: tuple[str, ...]
+    command: str
+    argument: str = ''
+    options: Mapping[str, Any]
     outputs: tuple[str, ...]
-    kind: Kind
-    amount: float
-    hints: tuple[str, ...] = ()
+    hints: Mapping[str, Any] = field(default_factory=dict)
     runs: int = 0
     inputs: tuple[str, ...] = ()
     wants: tuple[str, ...] = ()
@@ -94,11 +83,16 @@ class Stage:
     needs: str = ''
     optional: bool = False
 
-    def command(self, *, resume: bool = False) -> tuple[str, ...]:
-        """Arguments of ``taxinet``."""
-        again = ('--resume',) if resume and self.resume is Resume.OPTION else ()
-        runs = ('--runs', str(self.runs)) if self.runs else ()
-        return (*self.words, *runs, *self.hints, *again)
+    def arguments(self, *, resume: bool = False) -> dict[str, Any]:
+        """All options of the call."""
+        again = {'resume': True} if resume and self.resume is Resume.OPTION else {}
+        return {**self.options, **({'runs': self.runs} if self.runs else {}), **self.hints, **again}
+
+    def words(self, *, resume: bool = False) -> tuple[str, ...]:
+        """Arguments of ``taxinet`` that do the same by hand."""
+        options = (word for option in self.arguments(resume=resume).items()
+                   for word in _option_words(*option))
+        return (self.command, *filter(None, [self.argument]), *options)
 
     def ready(self, out: Path) -> bool:
         """Whether its inputs from other stages exist."""
@@ -119,7 +113,8 @@ class Stage:
 
     def _ingredients(self, out: Path) -> dict[str, Any]:
         found: dict[str, Any] = {
-            'words': self.words, 'version': __version__,
+            'command': self.command, 'argument': self.argument, 'options': self.options,
+            'version': __version__,
             'inputs': {
                 name: file_sha256(out / name) for name in (*self.inputs, *self.wants)
                 if (name in self.inputs and name != self.needs) or (out / name).is_file()
@@ -141,17 +136,20 @@ class Stage:
 
 
 def _digest(values: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _option_words(name: str, value: Any) -> Iterable[str]:
+    option = f'--{name.replace("_", "-")}'
+    if isinstance(value, bool):
+        return [option] * value
+    values = value if isinstance(value, list | tuple) else [value]
+    return [word for one in values for word in (option, str(one))]
 
 
 _BATCH = 64
-_RENDERING = 2
-"""Rendering time of a picture, in training passes over one picture."""
-
-
-def workers_option(workers: int) -> tuple[str, ...]:
-    """Option for the number of concurrent processes, which does not affect results."""
-    return ('--workers', str(workers))
+_ENGINED = ('falsify', 'experiment', 'shrink')
+"""Commands that make runs by an engine."""
 
 
 def with_engine(
@@ -169,21 +167,20 @@ def with_engine(
         UsageError: unknown engine, or a bad share.
     """
     check_engine(engine, audit, GroundTruth.word, STEERING, {})
-    words = (
-        *(() if engine == GRAPH else ('--engine', engine)),
-        *(() if audit is None else ('--audit', audit)),
-    )
+    more = {
+        **({} if engine == GRAPH else {'engine': engine}),
+        **({} if audit is None else {'audit': audit}),
+    }
     return tuple(
-        replace(stage, hints=(*(('--cluster', cluster) if cluster else stage.hints), *words))
-        if stage.kind is Kind.RUNS else stage
+        replace(stage, hints={**({'cluster': cluster} if cluster else stage.hints), **more})
+        if stage.command in _ENGINED else stage
         for stage in found
     )
 
 
 def campaign_stage(
     name: str, program: str, *, sampler: str, seed: int, runs: int, workers: int, weights: str = '',
-    perception: str = '', outputs: Sequence[str] = (), needs: str = '',
-    sampler_options: Sequence[str] = (),
+    perception: str = '', needs: str = '', sampler_options: Sequence[str] = (),
 ) -> Stage:
     """Stage with a campaign of a network, without pictures in the bags.
 
@@ -196,60 +193,58 @@ def campaign_stage(
         workers: number of concurrent processes.
         weights: weights file of an earlier stage; alternative to ``perception``.
         perception: word or file of a network from outside the study.
-        outputs: files written in addition to the table.
         needs: the weights, if they may be missing because there was nothing to learn.
         sampler_options: options of the sampler, ``KEY=VALUE``.
     """
-    chosen = [word for option in sampler_options for word in ('--sampler-option', option)]
     return Stage(
-        name=name, runs=runs, hints=workers_option(workers),
-        words=('falsify', program, '--sampler', sampler, *chosen, '--seed', str(seed),
-               '--perception', perception or weights, '--images', 'none', '--out', name),
+        name=name, runs=runs, hints={'workers': workers}, command='falsify', argument=program,
+        options={
+            'sampler': sampler, 'sampler_option': sampler_options, 'seed': seed,
+            'perception': perception or weights, 'images': 'none', 'out': name,
+        },
         inputs=() if perception else (weights,), programs=(program,), perception=perception,
-        outputs=(f'{name}/{PARQUET_NAME}', *outputs), kind=Kind.RUNS, amount=runs, needs=needs,
+        outputs=(f'{name}/{PARQUET_NAME}',), needs=needs,
         # 1 if a run violates its formula, 4 if a run has an infrastructure error.
         resume=Resume.OPTION, accepts=(0, 1, 4),
     )
 
 
-def analysis_stage(name: str, campaign: str, amount: float) -> Stage:
+def analysis_stage(name: str, campaign: str) -> Stage:
     """Stage that analyses the failures of a campaign."""
     return Stage(
-        name=name, words=('analyze', campaign, '--out', name),
+        name=name, command='analyze', argument=campaign, options={'out': name},
         inputs=(f'{campaign}/{PARQUET_NAME}',),
-        outputs=(f'{name}/analysis.json', f'{name}/report.html'), kind=Kind.REPORT, amount=amount,
-        resume=Resume.REPLACE,
+        outputs=(f'{name}/analysis.json', f'{name}/report.html'), resume=Resume.REPLACE,
     )
 
 
 def training_stage(
-    weights: str, program: str, *more: str, images: int, validation: int, added: int, epochs: int,
-    seed: int, workers: int, inputs: Sequence[str] = (), programs: Sequence[str] = (),
-    needs: str = '',
+    weights: str, program: str, *, images: int, validation: int, epochs: int, seed: int,
+    workers: int, inputs: Sequence[str] = (), programs: Sequence[str] = (), needs: str = '',
+    **more: Any,
 ) -> Stage:
     """Stage that trains a network.
 
     Args:
         weights: file to write, in the folder that names the stage.
         program: program of the training pictures.
-        more: further words of the command.
         images: number of training pictures of the program.
         validation: number of additional held-out pictures.
-        added: number of pictures added by ``more``.
         epochs: number of passes over all pictures.
         seed: seed of everything random.
         workers: number of concurrent processes.
         inputs: files of earlier stages.
         programs: programs in ``more``.
         needs: the one that may be missing because nothing was learned, or ''.
+        more: further options of the training.
     """
     return Stage(
         name=Path(weights).parts[0], inputs=tuple(inputs), needs=needs,
-        programs=tuple(dict.fromkeys([program, *programs])),
-        words=('train', program, '--images', str(images), '--validation', str(validation),
-               '--epochs', str(epochs), '--batch', str(min(_BATCH, images)), '--seed', str(seed),
-               *more, '--out', weights),
-        hints=workers_option(workers),
-        outputs=(weights, str(Path(weights).with_suffix('.json'))), kind=Kind.LOOKS,
-        amount=(images + added + validation) * _RENDERING + (images + added) * epochs,
+        programs=tuple(dict.fromkeys([program, *programs])), command='train', argument=program,
+        options={
+            'images': images, 'validation': validation, 'epochs': epochs,
+            'batch': min(_BATCH, images), 'seed': seed, **more, 'out': weights,
+        },
+        hints={'workers': workers},
+        outputs=(weights, str(Path(weights).with_suffix('.json'))), resume=Resume.OPTION,
     )

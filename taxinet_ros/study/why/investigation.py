@@ -26,14 +26,9 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
-from taxinet_ros.campaign.past_runs.localisation import (
-    Task,
-    Trial,
-    TrialSetup,
-    make_localize_options,
-    make_trial,
-)
+from taxinet_ros.campaign.past_runs.localisation import make_localize_options
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.campaign.past_runs.trials import Task, Trial, TrialSystem, make_trial
 from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
@@ -102,10 +97,6 @@ from taxinet_ros.study.why.verdict import (
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
 _RIG = (AIRCRAFT_MODEL, CAMERA, *CAMERA_OFFSETS)
 _PROGRAM, _BASE = 'scenes.scenic', 'training.scenic'
-_ONLY_TABLE = (
-    'a table has neither bags nor settings of its runs, so no run can be driven again; name the '
-    "campaign's folder"
-)
 _NO_TRUTH = 'the runs were driven by the truth, so there is no network to examine'
 
 RunStages = Callable[[Sequence[Stage]], tuple[int, Mapping[str, str]]]
@@ -125,7 +116,7 @@ class Investigation:
     """What is asked, and how.
 
     Attributes:
-        path: folder of a campaign, a table of one, or the bag of a run; absolute.
+        path: folder of a campaign, or the bag of a run; absolute.
         out: existing folder of the results; absolute.
         perception: word or file of the network, if it has moved; None for the recorded one.
         budget: runs to be made.
@@ -147,25 +138,12 @@ class Investigation:
             UsageError: there is nothing of which to say why it failed.
             StoppedError: a stage was interrupted or broke.
         """
-        kind = kind_of(self.path)
-        if kind == 'run':
+        if kind_of(self.path) == 'run':
             run = find_run(self.path)
             return _with_domain(self._run(run), [run.scenario.to_human()])
-        found = self._table() if kind == 'table' else self._campaign(open_campaign(self.path))
+        found = self._campaign(open_campaign(self.path))
         scenes: Any = read_runs(self.path).scenes.to_dict('records') if found.failed else ()
         return _with_domain(found, scenes)
-
-    # A table -------------------------------------------------------------------------------------
-
-    def _table(self) -> Evidence:
-        runs = read_runs(self.path)
-        found = self._with_scenes(_of_runs(runs, subject=str(self.path)), runs)
-        if not found.failed:
-            return found
-        self._stages([analyze_stage(self.path, self.out)])
-        return replace(found, causes=self._causes(None), troubles={
-            LOCALIZE: _ONLY_TABLE, CONFIRM: _ONLY_TABLE, **self._why_no_causes(),
-        })
 
     # A campaign ----------------------------------------------------------------------------------
 
@@ -207,7 +185,7 @@ class Investigation:
         troubles |= self._stages(stages)
         troubles |= self._why_no_causes()
         blames = None if LOCALIZE in troubles else self._blames(campaign)
-        causes = self._causes(campaign)
+        causes = self._causes()
         if LOCALIZE in troubles:
             troubles[EXPLAIN] = troubles[CONFIRM] = troubles[LOCALIZE]
         else:
@@ -244,7 +222,7 @@ class Investigation:
         write_atomically(path, f'{source}\n{overrides_statement(rig)}')
         return path
 
-    def _causes(self, campaign: RecordedCampaign | None) -> tuple[CauseEvidence, ...]:
+    def _causes(self) -> tuple[CauseEvidence, ...]:
         """The causes that the analysis found; all failures as one if it found none."""
         values = read_sealed(self.out / ANALYZE / 'analysis.json').values
         frame = pd.read_parquet(self.out / ANALYZE / PARQUET_NAME)
@@ -252,24 +230,22 @@ class Investigation:
         found = []
         for cause in values['causes']:
             program = self.out / ANALYZE / f'cause-{cause["rank"]}.scenic'
-            found.append(self._worst(campaign, failures[failures['cause'] == cause['rank']],
+            found.append(self._worst(failures[failures['cause'] == cause['rank']],
                 CauseEvidence(
                     rank=cause['rank'], words=cause['words'], inside=_inside_words(cause),
                     program=program if program.is_file() else None,
                 )))
         if not found:
-            found.append(self._worst(campaign, failures, CauseEvidence(
-                rank=0, words='all failures',
-            )))
+            found.append(self._worst(failures, CauseEvidence(rank=0, words='all failures')))
         return tuple(found)
 
     def _worst(
-        self, campaign: RecordedCampaign | None, failures: pd.DataFrame, cause: CauseEvidence
+        self, failures: pd.DataFrame, cause: CauseEvidence
     ) -> CauseEvidence:
         """The cause with its worst run, the worst with a bag if there is one."""
         for run_id, bag in zip(failures['run_id'], failures['bag'], strict=True):
             folder = self.path / bag
-            if campaign is not None and bag and holds_bag(folder):
+            if bag and holds_bag(folder):
                 return replace(cause, run_id=str(run_id), bag=folder)
         first = '' if failures.empty else str(failures['run_id'].iloc[0])
         return replace(cause, run_id=first)
@@ -334,7 +310,7 @@ class Investigation:
             removed=0.0 if blamed is None else float(blamed['removed']),
         )
 
-    def change(self, cause: CauseEvidence) -> Change | None:
+    def _change(self, cause: CauseEvidence) -> Change | None:
         """What is suspected: what the explanation blames, else what the region says."""
         path = self.out / explain_name(cause.rank) / 'explain.json'
         if cause.bag is not None and path.is_file():
@@ -369,7 +345,7 @@ class Investigation:
     ) -> tuple[CauseEvidence, ...]:
         """Run an experiment for each of the first causes, and read the results."""
         first = causes[:MOST_CAUSES]
-        changes = {cause.rank: self.change(cause) for cause in first}
+        changes = {cause.rank: self._change(cause) for cause in first}
         arms = {rank: arms_of(change, settings.perception) for rank, change in changes.items()}
         arms = {rank: number for rank, number in arms.items() if number > 1}
         if not arms:
@@ -385,9 +361,7 @@ class Investigation:
                 runs=scenes,
             ))
             stages.append(confirm_stage(
-                file, self.out, cause.rank, scenes=scenes, workers=self.workers,
-                arms=arms[cause.rank],
-            ))
+                file, self.out, cause.rank, scenes=scenes, workers=self.workers))
         refused = self._stages(stages)
         troubles |= refused
         if refused and CONFIRM not in troubles:
@@ -496,9 +470,9 @@ class Investigation:
             'controller', run.controller, lambda: check_controller(run.controller, run.gains),
             run.controller_fingerprint, 'put its file back',
         )
-        bench = TrialSetup(
+        bench = TrialSystem(
             perception=network, judging=Judging(specs=run.specs), gains=run.gains,
-            controller=run.controller, timing=run.timing.words, world=run.world,
+            controller=run.controller, timing=run.timing, world=run.world,
             world_sha256=run.world_fingerprint,
         )
         perception = make_perception(network)
@@ -529,13 +503,11 @@ class Investigation:
 
 
 def kind_of(path: Path) -> str:
-    """Whether a path is a ``campaign``, a ``table`` of one, or a ``run``.
+    """Whether a path is a ``campaign`` or a ``run``.
 
     Raises:
         UsageError: it is none of them.
     """
-    if path.suffix == '.parquet' and path.is_file():
-        return 'table'
     if is_campaign(path):
         return 'campaign'
     if is_campaign(path.parent) or (path.is_dir() and holds_bag(path)):
@@ -547,7 +519,7 @@ def kind_of(path: Path) -> str:
                 f'{path}: bags without the {RECORD_NAME} of a campaign; name one of the runs, as '
                 f'{path / bags[0]}'
             )
-    raise UsageError(f'{path}: neither the folder of a campaign, nor a table, nor the bag of a run')
+    raise UsageError(f'{path}: neither the folder of a campaign nor the bag of a run')
 
 
 def violated_at_start(scenario: Scenario, judging: Judging, make_world: Any) -> bool:

@@ -1,6 +1,6 @@
-"""The stages of ``taxinet why``: each a ``taxinet`` command, and the experiments that they run.
+"""The stages of an investigation, and the experiments that they run.
 
-Paths in commands are absolute: the commands run in the user's folder, from which a perception or
+Paths in stages are absolute: the stages run in the user's folder, from which a perception or
 controller file may have been named.
 """
 
@@ -26,8 +26,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME
-from taxinet_ros.study.stages.stage import Kind, Resume, Stage, workers_option
+from taxinet_ros.study.stages.stage import Resume, Stage
 
 ANALYZE, LOCALIZE, SHRINK = 'analyze', 'localize', 'shrink'
 RECORDED, TRUTH = 'recorded', 'truth'
@@ -82,12 +81,12 @@ def confirm_name(rank: int) -> str:
 
 def analyze_stage(campaign: Path, out: Path) -> Stage:
     """Stage that finds what failures have in common; replaces an earlier one."""
-    table = campaign if campaign.is_file() else campaign / PARQUET_NAME
     return Stage(
-        name=ANALYZE, words=('analyze', str(campaign), '--out', str(out / ANALYZE)),
-        inputs=(str(table),), outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'),
+        name=ANALYZE, command='analyze', argument=str(campaign), options={'out': out / ANALYZE},
+        inputs=(str(campaign / PARQUET_NAME),),
+        outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'),
         # 3: scenes were chosen by a sampler, so there is no rate.
-        kind=Kind.REPORT, amount=1, resume=Resume.REPLACE, accepts=(0, 3),
+        resume=Resume.REPLACE, accepts=(0, 3),
     )
 
 
@@ -95,51 +94,53 @@ def localize_stage(
     campaign: Path, out: Path, *, runs: int, workers: int, perception: str | None
 ) -> Stage:
     """Stage that drives failed runs again with perfect estimates."""
-    moved = () if perception is None else ('--perception', perception)
+    moved = {} if perception is None else {'perception': perception}
     return Stage(
-        name=LOCALIZE, words=('localize', str(campaign), *moved, '--out', str(out / LOCALIZE)),
-        runs=runs, hints=workers_option(workers), inputs=(str(campaign / RECORD_NAME),),
-        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
-        amount=_TRIALS * runs, resume=Resume.SAME, optional=True,
+        name=LOCALIZE, command='localize', argument=str(campaign),
+        options={**moved, 'out': out / LOCALIZE},
+        runs=runs, hints={'workers': workers}, inputs=(str(campaign / PARQUET_NAME),),
+        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), resume=Resume.SAME,
+        optional=True,
     )
 
 
 def explain_stage(bag: Path, out: Path, rank: int, perception: str, world: str) -> Stage:
     """Stage that explains the errors of the network in one run."""
     name, camera = explain_name(rank), world_and_camera(world)[1]
-    seen = () if camera == OURS else ('--camera', camera)
+    seen = {} if camera == OURS else {'camera': camera}
     return Stage(
-        name=name,
-        words=('explain', str(bag), '--perception', perception, *seen, '--out', str(out / name)),
+        name=name, command='explain', argument=str(bag),
+        options={'perception': perception, **seen, 'out': out / name},
         inputs=tuple(str(path) for path in storage_files(bag)),
-        outputs=(f'{name}/explain.json', f'{name}/explain.html'), kind=Kind.REPORT, amount=0.5,
-        optional=True,
+        outputs=(f'{name}/explain.json', f'{name}/explain.html'), optional=True,
     )
 
 
 def shrink_stage(bag: Path, out: Path, *, runs: int, workers: int, perception: str) -> Stage:
     """Stage that finds the parameters of a run that matter."""
-    record = bag.parent / RECORD_NAME
-    inputs = (record,) if record.is_file() else storage_files(bag)
+    table = bag.parent / PARQUET_NAME
+    inputs = (table,) if table.is_file() else storage_files(bag) if bag.is_dir() else ()
     return Stage(
-        name=SHRINK, runs=runs, hints=workers_option(workers),
-        words=('shrink', str(bag), '--perception', perception, '--images', 'none', '--quiet',
-               '--out', str(out / SHRINK)),
-        inputs=tuple(map(str, inputs)), outputs=(f'{SHRINK}/shrink.json',), kind=Kind.RUNS,
-        amount=runs, resume=Resume.OPTION, optional=True,
+        name=SHRINK, command='shrink', argument=str(bag), runs=runs, hints={'workers': workers},
+        options={
+            'perception': perception, 'images': 'none', 'quiet': True, 'out': out / SHRINK,
+        },
+        inputs=tuple(map(str, inputs)), outputs=(f'{SHRINK}/shrink.json',),
+        resume=Resume.OPTION, optional=True,
     )
 
 
-def confirm_stage(experiment: Path, out: Path, rank: int, *, scenes: int, workers: int,
-                  arms: int) -> Stage:
+def confirm_stage(
+    experiment: Path, out: Path, rank: int, *, scenes: int, workers: int
+) -> Stage:
     """Stage that runs the same fresh scenes with and without what is suspected."""
     name = confirm_name(rank)
     return Stage(
-        name=name, runs=scenes, hints=workers_option(workers),
-        words=('experiment', str(experiment), '--out', str(out / name)),
+        name=name, command='experiment', argument=str(experiment), options={'out': out / name},
+        runs=scenes, hints={'workers': workers},
         inputs=(str(experiment), str(_program_of(experiment))),
-        outputs=(f'{name}/experiment.json', f'{name}/experiment.html'), kind=Kind.RUNS,
-        amount=arms * scenes, resume=Resume.OPTION, accepts=(0, 4), optional=True,
+        outputs=(f'{name}/experiment.json', f'{name}/experiment.html'), accepts=(0, 4),
+        resume=Resume.OPTION, optional=True,
     )
 
 

@@ -1,45 +1,18 @@
-"""The page of ``taxinet why``: verdict, what to do, causes with their worst runs, how sure."""
+"""The page of an investigation: verdict, what to do, causes, how sure."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from matplotlib.figure import Figure, FigureBase
-from numpy.typing import NDArray
-
-from taxinet_ros.analysis.report.parts import (
-    Cell,
-    Column,
-    Link,
-    Picture,
-    Report,
-    Section,
-    Table,
-    Theme,
-    style_axes,
-)
+from taxinet_ros.analysis.report.parts import Cell, Column, Link, Report, Section, Table
 from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.rates import rate
-from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
-from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.renderer import OURS
-from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.core.world import world_and_camera
-from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.registry import KMWH
-from taxinet_ros.study.why.plan import MOST_CAUSES, Change, confirm_name, explain_name
+from taxinet_ros.study.why.plan import MOST_CAUSES, confirm_name, explain_name
 from taxinet_ros.study.why.verdict import (
     Action,
     CauseEvidence,
@@ -57,129 +30,8 @@ _STAGE_PAGES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WorstRun:
-    """What the picture of a cause's worst run shows.
-
-    Attributes:
-        run_id: the run.
-        columns: its trace, see :mod:`taxinet_ros.core.trace`.
-        half_width_m: half width of its runway [m].
-        at_s: moment of the frames [s]: at which the estimate misleads most.
-        frames: frames, (H, W, 3) uint8 RGB, by what they show; empty if there are none.
-    """
-
-    run_id: str
-    columns: Mapping[str, NDArray[Any]]
-    half_width_m: float
-    at_s: float
-    frames: Mapping[str, NDArray[np.uint8]]
-
-
-def worst_run(cause: CauseEvidence, change: Change | None, folder: Path) -> WorstRun | None:
-    """The worst run of a cause from its bag; frames that it lacks are rendered again.
-
-    Args:
-        cause: the cause.
-        change: of the scene, shown beside the frame; None for none.
-        folder: folder of its explanation.
-    """
-    if cause.bag is None:
-        return None
-    try:
-        recording = open_recording(cause.bag)
-        columns = recording.columns
-    except (BagError, UsageError):
-        return None  # the section says that there is no picture
-    seq = _moment(folder)
-    return WorstRun(
-        run_id=cause.run_id, columns=columns, at_s=seq * CONTROL_PERIOD_NS / NS_PER_S,
-        half_width_m=recording.scenario.line.half_width_m,
-        frames=_frames(recording, seq, change),
-    )
-
-
-def _moment(folder: Path) -> int:
-    """Control step at which the estimate misleads most, 0 if that is unknown."""
-    path = folder / 'explain.json'
-    if not path.is_file():
-        return 0
-    moments = json.loads(path.read_text(encoding='utf-8'))['moments']
-    return int(max(moments, key=lambda one: abs(one['misled_rad'] or 0.0))['seq'])
-
-
-def _frames(
-    recording: Recording, seq: int, change: Change | None
-) -> dict[str, NDArray[np.uint8]]:
-    found: dict[str, NDArray[np.uint8]] = {}
-    try:
-        for now in recording.observations(lambda step: step == seq):
-            if now.seq != seq:
-                continue
-            if now.image is not None:
-                found['as recorded'] = now.image
-            if change is not None and _ours(recording):
-                changed = Camera(_changed(recording.scenario, change))
-                found[change.words] = changed.render(now.state, seq * CONTROL_PERIOD_NS)
-            break
-    except (BagError, UsageError, InfraError):
-        for frame in recording.frames(lambda step: step == seq, render=False):
-            found['as recorded'] = np.ascontiguousarray(frame.image)
-    return found
-
-
-def _ours(recording: Recording) -> bool:
-    return world_and_camera(recording.run.world or KMWH) == (KMWH, OURS)
-
-
-def _changed(scenario: Scenario, change: Change) -> Scenario:
-    return scenario_from_human({**scenario.to_human(), **change.values})
-
-
-def worst_picture(worst: WorstRun, rank: int) -> Picture:
-    """Frames at the worst moment, and the path of the run."""
-    frames = ', '.join(worst.frames)
-    return Picture(
-        name=f'worst-{rank}', title=f'The worst run: {worst.run_id}',
-        caption=(f'The camera at {worst.at_s:.1f} s, {frames}. ' if frames else
-                 'The frames of this run cannot be rendered again. ')
-        + 'Below: true and estimated distance from the line; the band is the tolerance of 1.5 m, '
-        'the lines are the edges of the pavement.',
-        draw=partial(_draw_worst, worst), size_in=(8.4, 5.4 if frames else 2.9),
-    )
-
-
-def _draw_worst(worst: WorstRun, figure: Figure, theme: Theme) -> None:
-    below: FigureBase = figure
-    if worst.frames:
-        above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(2.5, 2.9)))
-        grid = np.atleast_1d(above.subplots(1, len(worst.frames)))
-        for axes, (words, image) in zip(grid, worst.frames.items(), strict=True):
-            axes.imshow(image)
-            axes.set_title(words, fontsize=10)
-            axes.set_axis_off()
-    axes = below.subplots()
-    columns, edge = worst.columns, worst.half_width_m
-    time = columns['t_ns'].astype(np.float64) / NS_PER_S
-    axes.axhspan(-CENTRELINE_TOLERANCE_M, CENTRELINE_TOLERANCE_M, color=theme.faint, zorder=0)
-    for side in (-edge, edge):
-        axes.axhline(side, color=theme.ink, linewidth=1.0)
-    axes.plot(time, columns['cte_m'], color=theme.failed, linewidth=1.8, label='true')
-    axes.plot(time, columns['est_cte_m'], color=theme.passed, linewidth=1.2, linestyle='--',
-              label='estimated')
-    if worst.at_s > 0:
-        axes.axvline(worst.at_s, color=theme.ink, linestyle=':', linewidth=1.0)
-    axes.set_ylim(-edge - 4, edge + 4)
-    axes.set_xlabel('time [s]')
-    axes.set_ylabel('from the line [m],\nleft is up')
-    axes.margins(x=0.01)
-    axes.legend(loc='upper right', fontsize=8, ncols=2)
-    style_axes(axes, grid='none')
-
-
 def why_report(
-    evidence: Evidence, verdict: Verdict, todo: Sequence[Action],
-    worst: Mapping[int, WorstRun], out: Path,
+    evidence: Evidence, verdict: Verdict, todo: Sequence[Action], out: Path
 ) -> Report:
     """The page.
 
@@ -187,7 +39,6 @@ def why_report(
         evidence: what was found out.
         verdict: the verdict on it.
         todo: what to do.
-        worst: worst runs by rank of their cause.
         out: folder of the page, with the folders of the stages.
     """
     bags = {
@@ -198,7 +49,7 @@ def why_report(
         f'{Path(evidence.subject).name}: {verdict.fault}',
         facts=_facts(evidence), summary=verdict.sentences,
         sections=(
-            *_todo(todo), *_causes(evidence, worst, out), *_sure(evidence, verdict.fault),
+            *_todo(todo), *_causes(evidence, out), *_sure(evidence, verdict.fault),
             *_others(evidence), *_stages(evidence, out),
         ),
         runs=bags, worst=next(iter(bags), ''),
@@ -226,9 +77,7 @@ def _todo(todo: Sequence[Action]) -> Iterator[Section]:
         )
 
 
-def _causes(
-    evidence: Evidence, worst: Mapping[int, WorstRun], out: Path
-) -> Iterator[Section]:
+def _causes(evidence: Evidence, out: Path) -> Iterator[Section]:
     for cause in evidence.causes[:MOST_CAUSES]:
         pages = {
             f'{explain_name(cause.rank)}/explain.html': 'explanation of this run',
@@ -239,8 +88,6 @@ def _causes(
         yield Section(
             name=f'cause-{cause.rank}', heading=heading,
             sentences=tuple(_cause_sentences(cause, evidence)), links=_links(pages, out),
-            pictures=() if cause.rank not in worst else (
-                worst_picture(worst[cause.rank], cause.rank),),
         )
     more = evidence.causes[MOST_CAUSES:]
     if more:
@@ -255,7 +102,7 @@ def _cause_sentences(cause: CauseEvidence, evidence: Evidence) -> Iterator[str]:
         yield f'Fail: {cause.inside}.'
     if cause.run_id and not evidence.single:
         yield f'The worst run is {cause.run_id}.' + (
-            '' if cause.bag else ' Its bag is gone, so there is no picture of it.')
+            '' if cause.bag else ' Its bag is gone, so it is not shown.')
     if cause.explained:
         yield cause.explained
     if cause.rank in (0, 1):

@@ -12,6 +12,9 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader
 
 from taxinet_ros.analysis.runs.campaign import holm
 from taxinet_ros.campaign.rates import Rate, rate
@@ -165,7 +168,7 @@ class Evidence:
     """All that was found out.
 
     Attributes:
-        subject: campaign, run or table, as text.
+        subject: campaign or run, as text.
         network, controller: words of both.
         spec, formula: name and text of the requirement.
         judged, failed: numbers of runs.
@@ -239,143 +242,21 @@ def fault_of(evidence: Evidence) -> Fault:
 
 
 def judge(evidence: Evidence) -> Verdict:
-    """The verdict on the evidence."""
+    """The verdict on the evidence; its sentences are those of ``verdict.j2``."""
     fault = fault_of(evidence)
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=False, trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(interval=_interval, capital=_capital)
+    words: Any = environment.get_template('verdict.j2').make_module({
+        'e': evidence, 'b': evidence.blames or Blames(), 'fault': fault.value,
+    })
+    whose, where, sure = (
+        ' '.join(macro().split()) for macro in (words.whose, words.where, words.sure))
     # Said first: no other cause need be looked for before.
     outside = f'{evidence.outside}. ' if evidence.outside and evidence.failed else ''
-    return Verdict(fault=fault, sentences=(
-        f'{outside}{_whose(evidence, fault)}', _where(evidence, fault), _how_sure(evidence, fault),
-    ))
-
-
-def _whose(evidence: Evidence, fault: Fault) -> str:
-    blames, spec = evidence.blames or Blames(), evidence.spec
-    one = blames.counted == 1
-    counted = 'the failed run, driven again' if one else (
-        f'all {blames.counted} failed runs driven again')
-
-    def shares(number: int) -> str:
-        # One run is no sample: it has no interval that says anything.
-        return '' if evidence.single else f' ({_range(blames.share(number))})'
-
-    match fault:
-        case Fault.BENCH:
-            return (
-                f'No run was judged ({_counts(evidence.others)}), so nothing can be said of '
-                'network, controller or requirement: the test bench is at fault.'
-            )
-        case Fault.NOTHING:
-            them = 'The one judged run' if evidence.judged == 1 else (
-                f'All {evidence.judged:,} judged runs')
-            satisfy = 'satisfies' if evidence.judged == 1 else 'satisfy'
-            return f'{them} {satisfy} {spec}: nothing failed.'
-        case Fault.REQUIREMENT if evidence.unsatisfiable:
-            return (
-                f'The requirement {spec} is at fault: {evidence.unsatisfiable}. No network and no '
-                'controller can satisfy it.'
-            )
-        case Fault.REQUIREMENT:
-            return (
-                f'The requirement {spec}, or the start of the scenes, is at fault: {counted}'
-                f'{shares(blames.requirement)} {"was" if one else "were"} violated at the first '
-                'sample, before anything could be done.'
-            )
-        case Fault.NETWORK:
-            return (
-                f'The network {evidence.network} is at fault in the failures examined, not the '
-                f'controller: {counted} with perfect estimates{"," if one else ""} '
-                f'{"satisfies" if one else "satisfy"} {spec}{shares(blames.network)}.'
-            )
-        case Fault.CONTROLLER:
-            return (
-                f'The controller {evidence.controller} is at fault, or what it cannot resist '
-                f'(aircraft, wind, faults): {counted} with perfect estimates'
-                f'{"," if one else ""} {"violates" if one else "violate"} {spec} too'
-                f'{shares(blames.controller)}, so a better network would not help.'
-            )
-        case Fault.SEVERAL:
-            parts = [
-                f'{number} {words} ({_range(blames.share(number))})' for number, words in (
-                    (blames.network, f'satisfy {spec} then: the network {evidence.network}'),
-                    (blames.controller, f'violate it too: the controller {evidence.controller}'),
-                    (blames.requirement, 'were violated at their first sample: the requirement or '
-                     'the start'),
-                ) if number
-            ]
-            return (
-                f'There are several faults. Of {blames.counted} failed runs driven again with '
-                'perfect estimates '
-                f'{"; ".join(parts)}.'
-            )
-        case Fault.UNCLEAR:
-            return f'Whose fault it is, is unclear: {_why_unclear(evidence)}.'
-
-
-def _why_unclear(evidence: Evidence) -> str:
-    blames = evidence.blames
-    if blames is not None and blames.unknown:
-        return (
-            f'{blames.unknown} of {blames.unknown + blames.counted} failed runs were not '
-            'reproduced when driven again, probably as they come from another machine or version'
-        )
-    return evidence.troubles.get('localize', 'no failed run could be driven again')
-
-
-def _where(evidence: Evidence, fault: Fault) -> str:
-    if fault is Fault.BENCH:
-        return 'There is no failure to examine.'
-    if fault is Fault.NOTHING:
-        return f'{_capital(evidence.rate)}.' if evidence.rate else 'There is nothing to explain.'
-    found = [cause for cause in evidence.causes if cause.rank]
-    worst = next((cause for cause in evidence.causes if cause.blamed), None)
-    explained = '' if worst is None else (
-        f'{worst.blamed}, {100 * worst.removed:.0f} % of its error disappears'
-    )
-    if evidence.single:
-        if explained:
-            return f'In the pictures of this run: {explained}.'
-        if evidence.shrunk:
-            return evidence.shrunk[0]
-        return 'What in the scene matters could not be found.'
-    if not found:
-        text = _capital(
-            evidence.troubles.get('causes') or 'no cause that the failures share was found')
-        return f'{text}; in the worst run, {explained}.' if explained else f'{text}.'
-    first = found[0]
-    others = len(found) - 1
-    more = f'; {others} more {"cause is" if others == 1 else "causes are"} below' if others else ''
-    inside = f' ({first.inside})' if first.inside else ''
-    text = f'Where runs fail most: {first.words}{inside}{more}'
-    where = '' if worst is None or worst.rank == first.rank else f' of cause {worst.rank}'
-    return f'{text}; in the worst run{where}, {explained}.' if explained else f'{text}.'
-
-
-def _how_sure(evidence: Evidence, fault: Fault) -> str:
-    if fault is Fault.BENCH:
-        return 'A campaign without a verdict says nothing about safety.'
-    if fault is Fault.NOTHING:
-        return 'That no run failed does not mean that none can.'
-    if fault is Fault.REQUIREMENT and evidence.unsatisfiable:
-        return 'This follows from the formula and the ranges of its signals, without any run.'
-    if fault is Fault.REQUIREMENT:
-        return (
-            'This needs no experiment: after their first sample, no continuation whatever could '
-            'have satisfied the formula.'
-        )
-    tested = [cause for cause in evidence.causes if cause.without is not None]
-    confirmed = [cause for cause in tested if cause.confirmed]
-    if confirmed and confirmed[0].without is not None:
-        more = '' if len(tested) == 1 else (
-            f'; {len(confirmed)} of the {len(tested)} causes tested are confirmed')
-        return f'Confirmed by an experiment: {confirmed[0].without.sentence()}{more}.'
-    if tested and tested[0].without is not None:
-        return f'Not confirmed by an experiment: {tested[0].without.sentence()}.'
-    truths = [cause.truth for cause in evidence.causes if cause.truth is not None]
-    if truths:
-        word = 'Confirmed by an experiment' if truths[0].better else 'In an experiment'
-        return f'{word}: {truths[0].sentence()}; what in the scene does it was not tested.'
-    why = evidence.troubles.get('confirm')
-    return f'No experiment confirms it{f": {why}" if why else ""}.'
+    return Verdict(fault=fault, sentences=(f'{outside}{whose}', where, sure))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -399,7 +280,7 @@ def actions(
     Args:
         evidence: what was found out.
         fault: what is at fault.
-        campaign: folder of the campaign; None for a single run or a table.
+        campaign: folder of the campaign; None for a single run.
         kept_bags: whether some failed run has its bag, along whose path pictures can be taken.
         scale: divisor of the suggested numbers of pictures.
     """
@@ -531,12 +412,8 @@ def _line(*words: str) -> str:
     return shlex.join(['taxinet', *words])
 
 
-def _range(share: Rate) -> str:
+def _interval(share: Rate) -> str:
     return f'95 % interval {100 * share.low:.0f}–{100 * share.high:.0f} %'
-
-
-def _counts(others: Mapping[str, int]) -> str:
-    return ', '.join(f'{number} {word}' for word, number in others.items()) or 'none was made'
 
 
 def _capital(text: str) -> str:

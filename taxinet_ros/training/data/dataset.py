@@ -6,7 +6,6 @@ A picture is stored as the network's input, 12 KiB instead of 211.
 from __future__ import annotations
 
 import base64
-import itertools
 import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -26,8 +25,8 @@ from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.journal import Journal
 from taxinet_ros.training.data.photographs import photographs
+from taxinet_ros.training.data.unfinished import Unfinished
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, the amount done and the total."""
@@ -134,7 +133,7 @@ def make_dataset(
     seed: int = 0,
     progress: Progress = no_progress,
     stage: str = 'images',
-    journal: Journal | None = None,
+    unfinished: Unfinished | None = None,
 ) -> Dataset:
     """Render scenes. The result does not depend on the number of worker processes.
 
@@ -145,31 +144,34 @@ def make_dataset(
         seed: seed of these variations.
         progress: called after every picture.
         stage: name of the stage for ``progress``.
-        journal: open file to record the pictures in; those in it are not rendered again.
+        unfinished: record to keep the pictures in; those in it are not rendered again.
 
     Raises:
         InfraError: a worker process died, or the simulator failed.
         OSError: a picture cannot be recorded.
     """
-    known = [] if journal is None else journal.events
-    missing = itertools.islice(enumerate(scenes), len(known), None)
+    known = {} if unfinished is None else unfinished.made
+    missing = [(number, scene) for number, scene in enumerate(scenes) if number not in known]
     pictures = np.empty((len(scenes), *INPUT_SHAPE), np.uint8)
     truth = np.empty((len(scenes), 2))
     taken = photographs(missing, _shrunk, varied=varied, seed=seed, workers=workers)
-    rows = itertools.chain((_unpacked(event) for event in known), taken)
-    for row, (picture, cte_m, he_rad) in enumerate(rows):
-        if journal is not None and row >= len(known):
-            packed = base64.b64encode(zlib.compress(picture.tobytes(), 1)).decode()
-            journal.append({'picture': packed, 'cte_m': cte_m, 'he_rad': he_rad})
+    for row in range(len(scenes)):
+        if row in known:
+            picture, cte_m, he_rad = _unpacked(known[row])
+        else:
+            picture, cte_m, he_rad = next(taken)
+            if unfinished is not None:
+                packed = base64.b64encode(zlib.compress(picture.tobytes(), 1)).decode()
+                unfinished.add(row, {'picture': packed, 'cte_m': cte_m, 'he_rad': he_rad})
         pictures[row] = picture
         truth[row] = cte_m, he_rad
         progress(stage, row + 1, len(scenes))
     return Dataset(pictures=pictures, cte_m=truth[:, 0], he_rad=truth[:, 1])
 
 
-def _unpacked(event: Mapping[str, Any]) -> _Labelled:
-    data = zlib.decompress(base64.b64decode(event['picture']))
-    return np.frombuffer(data, np.uint8).reshape(INPUT_SHAPE), event['cte_m'], event['he_rad']
+def _unpacked(values: Mapping[str, Any]) -> _Labelled:
+    data = zlib.decompress(base64.b64decode(values['picture']))
+    return np.frombuffer(data, np.uint8).reshape(INPUT_SHAPE), values['cte_m'], values['he_rad']
 
 
 def _shrunk(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Labelled:

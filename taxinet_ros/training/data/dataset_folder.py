@@ -2,7 +2,7 @@
 
 It contains ``images/000000.png`` and so on, ``labels.parquet`` with a row for each, and
 ``dataset.json``, which is written last: a folder without it is unfinished. While it is being made,
-``request.json`` has the options and ``finished.jsonl`` the finished images.
+``progress.db`` has the options and the finished images.
 
 An image is a pure function of program, seed and number, so an interrupted dataset is continued by
 rendering the missing images, with a byte-identical result. Files are written atomically and never
@@ -11,13 +11,14 @@ replaced.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import math
 import os
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,25 +28,22 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.scenes.programs import check_same_files, find_program
+from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.atomic import FULL_DISK, draft_path, make_folder, write_atomically
-from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line
-from taxinet_ros.files.plain_values import check_kind
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
 from taxinet_ros.training.data.dataset import SAMPLERS, Progress, draw_scenes, no_progress
 from taxinet_ros.training.data.photographs import photographs
+from taxinet_ros.training.data.unfinished import NAME, Unfinished, check_request, is_begun
 from taxinet_ros.version import __version__
 
 IMAGES = 'images'
 LABELS = 'labels.parquet'
 FACTS = 'dataset.json'
-REQUEST = 'request.json'
-FINISHED = 'finished.jsonl'
 
 
 def image_name(index: int) -> str:
@@ -69,55 +67,11 @@ class FinishedImage:
     sha256: str
 
 
-class FinishedImages(JournalOwner):
-    """The open record of finished images, for one writer at a time; a context manager."""
-
-    def __init__(self, path: Path) -> None:
-        """Open ``path`` to append, creating it if needed; a torn last line is removed.
-
-        Raises:
-            UsageError: it cannot be opened, is not such a record, or another command writes to it.
-        """
-        self._path = path
-        try:
-            self._journal = Journal(path)
-        except BlockingIOError as error:
-            raise UsageError(f'dataset: {path.parent}: another command is writing to it') from error
-        except OSError as error:
-            raise UsageError(f'dataset: {path}: {error.strerror}') from error
-        try:
-            self.rows = self._read()
-        except BaseException:
-            self._journal.close()
-            raise
-
-    def add(self, row: FinishedImage) -> None:
-        """Record that an image is finished.
-
-        Raises:
-            OSError: the line could not be written completely, for example on a full disk.
-        """
-        self._journal.append(asdict(row))
-        self.rows[row.index] = row
-
-    def _read(self) -> dict[int, FinishedImage]:
-        rows = {}
-        for number, event in enumerate(self._journal.events, start=1):
-            try:
-                row = FinishedImage(**event)
-                for name, kind in FinishedImage.__annotations__.items():
-                    check_kind(name, kind, getattr(row, name))
-            except (TypeError, ValueError) as error:
-                raise damaged_line(self._path, number, str(error)) from error
-            rows[row.index] = row
-        return rows
-
-
 _LIMITS = {'count': (1, 1_000_000), 'seed': (0, 2**63 - 1), 'workers': (1, 256)}
 
 
-_DRAFT = draft_path(Path(REQUEST)).name
-"""File that a kill or a full disk may leave of a dataset that was not yet started."""
+_EMPTY = {NAME, f'{NAME}-journal'}
+"""What a kill or a full disk may leave of a dataset that was not yet started."""
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 """All levels are lossless; higher ones take several times as long to save a tenth of the size."""
 
@@ -205,86 +159,66 @@ def write_dataset(options: DatasetOptions, progress: Progress = no_progress) -> 
     request = options.request()
     if not options.resume:
         _check_new(options.out)
-    else:
-        check_request('dataset', options.out, request)
+    elif (options.out / FACTS).exists():
+        check_request('dataset', options.out, read_sealed(options.out / FACTS).values, request)
+        return 0
+    try:
+        rendered = _make(options, request, progress)
+    except OSError as error:
+        raise RecordError(
+            f'dataset: {options.out}: cannot be written ({error.strerror}); fix that and use '
+            '--resume'
+        ) from error
+    (options.out / NAME).unlink()
+    return rendered
+
+
+def _make(options: DatasetOptions, request: Mapping[str, Any], progress: Progress) -> int:
+    with contextlib.ExitStack() as opened:
+        def begin() -> Unfinished:
+            unfinished = Unfinished('dataset', options.out, request, resume=options.resume)
+            return opened.enter_context(unfinished)
+
+        unfinished = begin() if options.resume else None
+        scenes = draw_scenes(
+            options.program, seed=options.seed, images=options.count, sampler=options.sampler,
+            progress=progress,
+        )
+        # Only now: an invalid program leaves no folder behind.
+        unfinished = unfinished or begin()
         (options.out / IMAGES).mkdir(exist_ok=True)
-        if (options.out / FACTS).exists():
-            return 0
-    scenes = draw_scenes(
-        options.program, seed=options.seed, images=options.count, sampler=options.sampler,
-        progress=progress,
-    )
-    if not options.resume:  # only now: an invalid program leaves no folder behind
-        begin_request('dataset', options.out, request)
-        (options.out / IMAGES).mkdir()
-    with FinishedImages(options.out / FINISHED) as finished:
-        rendered = _render(options, scenes, finished, progress)
+        finished, rendered = _render(options, scenes, unfinished, progress)
+        unfinished.check_in_place()
         _complete(options.out, request, scenes, finished)
-    (options.out / FINISHED).unlink()
     return rendered
 
 
 def _check_new(out: Path) -> None:
     try:
-        if out.exists() and (not out.is_dir() or {path.name for path in out.iterdir()} - {_DRAFT}):
-            begun = (out / REQUEST).is_file()
+        begun = is_begun(out)
+        if out.exists() and (not out.is_dir() or (
+            {path.name for path in out.iterdir()} - (set() if begun else _EMPTY)
+        )):
             mend = 'use --resume, or choose another' if begun else 'choose another'
             raise UsageError(f'dataset: --out {out}: exists and is not empty; {mend}')
     except OSError as error:
-        raise _unwritable_error(out, error) from error
-
-
-def begin_request(command: str, out: Path, request: Mapping[str, Any]) -> None:
-    """Create the folder of a command that can be resumed, and write its request into it.
-
-    Raises:
-        UsageError: the folder cannot be made or written to.
-        RecordError: the disk is full.
-    """
-    try:
-        make_folder(out)
-        _write_once(out / REQUEST, sealed_text(request).encode())
-    except OSError as error:
-        raise (_record_error if error.errno in FULL_DISK else _unwritable_error)(
-            out, error, command
-        ) from error
-
-
-def check_request(command: str, out: Path, request: Mapping[str, Any]) -> None:
-    """Check that a folder was begun with the same request.
-
-    Raises:
-        UsageError: it was not, by the name of the option; or there is none.
-    """
-    path = out / REQUEST
-    try:
-        begun = read_sealed(path).values
-    except FileNotFoundError as error:
         raise UsageError(
-            f'{command}: --resume: {path}: no such file, so there is nothing to resume; leave '
-            '--resume out'
+            f'dataset: {out}: cannot be written ({error.strerror}); name another --out'
         ) from error
-    except OSError as error:
-        raise UsageError(
-            f'{command}: --resume: {path}: cannot be read; name another --out'
-        ) from error
-    check_same_files(f'{command}: --resume: {out}', begun, request)
-    for name, value in request.items():
-        before = begun.get(name)
-        if before != value:
-            raise UsageError(
-                f'{command}: --resume: {out} was begun with {name} {before}, not {value}; repeat '
-                'its options, or choose another --out'
-            )
 
 
 def _render(
-    options: DatasetOptions, scenes: list[Scenario], finished: FinishedImages, progress: Progress
-) -> int:
+    options: DatasetOptions, scenes: list[Scenario], unfinished: Unfinished, progress: Progress
+) -> tuple[dict[int, FinishedImage], int]:
+    """Render the missing images; return all, and how many these were."""
+    finished = {
+        number: FinishedImage(index=number, **values)
+        for number, values in unfinished.made.items()
+    }
     _check_finished(options.out, finished, progress)
     missing = [
         (index, scene) for index, scene in enumerate(scenes)
-        if index not in finished.rows or not (options.out / image_name(index)).exists()
+        if index not in finished or not (options.out / image_name(index)).exists()
     ]
     done = len(scenes) - len(missing)
     taken = photographs(
@@ -293,19 +227,26 @@ def _render(
     )
     with closing(taken) as images:
         for row in images:
-            _record(options.out, finished, row)
+            if finished.setdefault(row.index, row) != row:  # equal if its lost file is made again
+                raise _differs_error(options.out / image_name(row.index))
+            unfinished.add(
+                row.index, {'cte_m': row.cte_m, 'he_rad': row.he_rad, 'sha256': row.sha256}
+            )
             done += 1
             progress('images', done, len(scenes))
-    return len(missing)
+    unfinished.flush()
+    return finished, len(missing)
 
 
-def _check_finished(out: Path, finished: FinishedImages, progress: Progress) -> None:
+def _check_finished(
+    out: Path, finished: Mapping[int, FinishedImage], progress: Progress
+) -> None:
     """Check that recorded images are unchanged; missing ones may be made again."""
-    for done, row in enumerate(finished.rows.values(), 1):
+    for done, row in enumerate(finished.values(), 1):
         path = out / image_name(row.index)
         if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() != row.sha256:
             raise _differs_error(path)
-        progress('checked', done, len(finished.rows))
+        progress('checked', done, len(finished))
 
 
 def _store(
@@ -314,42 +255,24 @@ def _store(
     """Write one image, in the worker that rendered it since compression takes time."""
     _, encoded = cv2.imencode('.png', cv2.cvtColor(image, cv2.COLOR_RGB2BGR), _PNG)
     data = encoded.tobytes()
-    try:
-        _write_once(out / image_name(index), data)
-    except OSError as error:
-        raise _record_error(out, error) from None  # an OSError pickles badly
+    _write_once(out / image_name(index), data)
     sha256 = hashlib.sha256(data).hexdigest()
     return FinishedImage(index=index, cte_m=truth.cte_m, he_rad=truth.he_rad, sha256=sha256)
 
 
-def _record(out: Path, finished: FinishedImages, row: FinishedImage) -> None:
-    before = finished.rows.get(row.index)
-    if before == row:
-        return  # its lost file has been made again
-    if before is not None:
-        raise _differs_error(out / image_name(row.index))
-    try:
-        finished.add(row)
-    except OSError as error:
-        raise _record_error(out, error) from error
-
-
 def _complete(
-    out: Path, request: Mapping[str, Any], scenes: list[Scenario], finished: FinishedImages
+    out: Path, request: Mapping[str, Any], scenes: list[Scenario],
+    finished: Mapping[int, FinishedImage],
 ) -> None:
     """Write the table, then the file that marks the dataset as complete."""
-    finished.check_in_place()
     table = io.BytesIO()
-    rows = [_row(scene, finished.rows[index]) for index, scene in enumerate(scenes)]
+    rows = [_row(scene, finished[index]) for index, scene in enumerate(scenes)]
     pd.DataFrame(rows).to_parquet(table, index=False)
     labels_sha256 = hashlib.sha256(table.getvalue()).hexdigest()
-    try:
-        _write_once(out / LABELS, table.getvalue())
-        os.sync()  # once for all images: the next file must not survive a power loss without them
-        facts = sealed_text({**request, 'labels_sha256': labels_sha256}, {LABELS: labels_sha256})
-        _write_once(out / FACTS, facts.encode())
-    except OSError as error:
-        raise _record_error(out, error) from error
+    _write_once(out / LABELS, table.getvalue())
+    os.sync()  # once for all images: the next file must not survive a power loss without them
+    facts = sealed_text({**request, 'labels_sha256': labels_sha256}, {LABELS: labels_sha256})
+    _write_once(out / FACTS, facts.encode())
 
 
 def _row(scene: Scenario, image: FinishedImage) -> dict[str, Any]:
@@ -375,14 +298,4 @@ def _differs_error(path: Path) -> UsageError:
     return UsageError(
         f'dataset: {path}: differs from what these options make and is not replaced; move it away '
         'and use --resume'
-    )
-
-
-def _unwritable_error(out: Path, error: OSError, command: str = 'dataset') -> UsageError:
-    return UsageError(f'{command}: {out}: cannot be written ({error.strerror}); name another --out')
-
-
-def _record_error(out: Path, error: OSError, command: str = 'dataset') -> RecordError:
-    return RecordError(
-        f'{command}: {out}: cannot be written ({error.strerror}); fix that and use --resume'
     )

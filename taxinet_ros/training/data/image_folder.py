@@ -30,7 +30,8 @@ from taxinet_ros.core.scenario_fields import CAMERA, PLACE
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.training.data.dataset import Dataset, Progress, no_progress
-from taxinet_ros.training.data.dataset_folder import FACTS, LABELS, REQUEST
+from taxinet_ros.training.data.dataset_folder import FACTS, LABELS
+from taxinet_ros.training.data.unfinished import is_begun
 
 FOREIGN_LABELS = 'labels.csv'
 _DIGEST = 'sha256'
@@ -185,7 +186,7 @@ def _shrunk(folder: ImageFolder, workers: int) -> Iterator[tuple[NDArray[np.uint
 def _table(folder: Path) -> Path:
     if not folder.is_dir():
         raise UsageError(f'{folder}: no such folder; name one with images and their labels')
-    if (folder / REQUEST).exists() and not (folder / FACTS).exists():
+    if is_begun(folder) and not (folder / FACTS).exists():
         raise UsageError(
             f'{folder}: this dataset is unfinished; continue it with taxinet dataset --resume'
         )

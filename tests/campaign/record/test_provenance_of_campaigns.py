@@ -16,8 +16,7 @@ from taxinet_ros.campaign.record.facts import STACKS, recorded_stacks, this_stac
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.study.stages import log as log_module
-from taxinet_ros.study.stages.log import StageLog, stack_warning
+from taxinet_ros.study.stages.record import StageRecord, stack_warning
 
 ELSEWHERE = {**provenance(), 'processor': 'Another One', 'numpy': '0.1'}
 
@@ -92,15 +91,12 @@ def test_provenance_of_several_sittings_is_a_note_of_the_gate(tmp_path, monkeypa
     assert 'note: the runs were made on different machines or versions: processor ' in out
 
 
-def test_provenance_of_each_stage_of_a_study_is_logged_and_compared(tmp_path, monkeypatch):
-    monkeypatch.setattr(log_module, 'provenance', lambda: ELSEWHERE)
-    with StageLog(tmp_path) as log:
-        log.write('begin', 'falsify', identity='i', runs=3, resumed=False)
-        assert log.records['falsify'].stacks == (ELSEWHERE,)
-        assert stack_warning(log.records) == ''
-    monkeypatch.undo()
-    with StageLog(tmp_path) as log:
-        assert f'numpy 0.1 | {provenance()["numpy"]}' in stack_warning(log.records)
+def test_provenance_of_each_stage_of_a_study_is_recorded_and_compared():
+    begun = StageRecord().started('i', 3, resumed=False)
+    assert begun.stacks == (dict(provenance()),)
+    assert stack_warning({'falsify': begun}) == ''
+    other = StageRecord(stacks=({**provenance(), 'numpy': '0.1'},))
+    assert f'numpy 0.1 | {provenance()["numpy"]}' in stack_warning({'falsify': other})
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.files.record import RECORD_NAME, read_record
 
 # A start 4 m off is too far to settle in a second: all of one arm fail and none of the other.
 EXPERIMENT = """
@@ -139,8 +140,9 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     with begun(
         'localize', 'c', '--with', 'truth', '--out', 'l', cwd=folder, stderr=subprocess.PIPE
     ) as process:
-        trials = folder / 'l' / 'trials.jsonl'
-        wait_for(lambda: trials.exists() and trials.read_bytes().count(b'\n') > 1)
+        trials = folder / 'l' / RECORD_NAME
+        wait_for(lambda: trials.exists() and trials.stat().st_size and read_record(
+            trials).get('trial'))
         process.send_signal(signal.SIGINT)
         stdout, stderr = process.communicate()
     assert stderr == ''
@@ -155,8 +157,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     assert list(frame['rho']) == list(read_table(folder / 'c')['rho'])
     assert list(frame['rho']) == list(frame['rho_as_recorded'])
     assert list(frame['scene_exact']) == [True, True]
-    lines = [json.loads(line) for line in trials.read_text().splitlines()]
-    assert len(lines) == 1 + 2 * 2
+    assert len(read_record(trials)['trial']) == 2 * 2
     assert taxinet('doctor', 'l', cwd=folder).returncode == 0
     worst = frame.loc[frame['rho'].idxmin(), 'run_id']
     page = (folder / 'l' / 'localize.html').read_text()
@@ -164,10 +165,10 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     assert re.search(rf'<h3>The worst run, [^<]*: <a href="#run={worst}">', first_screen)
     assert 'class="worst-path"' in first_screen
     whole = trials.read_bytes()
-    trials.write_bytes(b''.join(whole.splitlines(keepends=True)[:-1]))
+    trials.write_bytes(whole.replace(b'as-recorded', b'as-recorder', 1))
     done = taxinet('doctor', 'l', cwd=folder)
     trials.write_bytes(whole)
-    assert (done.returncode, '1 of its 5 lines are missing' in done.stdout) == (3, True)
+    assert (done.returncode, 'campaign.db: damaged' in done.stdout) == (3, True)
 
 
 def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder):

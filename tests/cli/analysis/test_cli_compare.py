@@ -13,6 +13,7 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of
+from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.files.sealed_table import is_sealed_table
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
@@ -46,7 +47,7 @@ def bag(tmp_path_factory):
 
 
 def trials(out: Path) -> int:
-    return (out / 'trials.jsonl').read_text().count('"event":"trial"')
+    return len(read_record(out / RECORD_NAME)['trial'])
 
 
 def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kept(
@@ -98,7 +99,7 @@ def test_given_a_subset_of_a_tables_scenes_then_it_is_spread_and_as_good_as_fixe
     scenes = scenes_of(BAGS / 's_falsif_original_4000.parquet', 5)
     assert [scene.row.index for scene in scenes.scenes] == [400, 1200, 2000, 2800, 3600]
     assert scenes.fixed
-    assert scenes.judging.specs == (
+    assert scenes.system.judging.specs == (
         'phi_eventually=eventually[0:10](always(abs(cte) <= 1.5))',)
     table = pd.read_parquet(BAGS / 's_falsif_original_4000.parquet').set_index('index')
     for scene in scenes.scenes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -21,6 +20,7 @@ from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.nodes.graph.runner import campaign_graph
 
 pytestmark = pytest.mark.ros
@@ -88,8 +88,7 @@ def test_r5_given_a_latency_that_cannot_be_then_one_line_says_so(tmp_path):
 def test_r5_given_failures_with_latency_when_localized_then_the_control_fails_as_recorded(folder):
     done = taxinet('localize', 's', '--with', 'truth', '--out', 'whose', cwd=folder)
     assert done.returncode in (0, 1), done.stdout + done.stderr
-    lines = (folder / 'whose' / 'trials.jsonl').read_text().splitlines()
-    trials = [event['trial'] for event in map(json.loads, lines) if event['event'] == 'trial']
+    trials = read_record(folder / 'whose' / RECORD_NAME)['trial'].values()
     control = {trial['run_id']: trial['rho_upper'] for trial in trials
                if trial['word'] == 'as-recorded'}
     assert control == read_table(folder / 's').set_index('run_id')['rho_near'].to_dict()
@@ -101,7 +100,8 @@ def test_r5_given_a_failed_run_when_shrunk_then_every_run_has_its_draws(folder):
         workers=1, out=folder / 'small', resume=False, images='none',
     )
     assert options.campaign.timing.words == f'{WORDS} draws=0.1'
-    assert campaign_graph(options.campaign, '').timing == options.campaign.timing
+    system = options.campaign.system('', '')
+    assert campaign_graph(options.campaign, system).timing == options.campaign.timing
     with Shrinking(options, PARTICIPANTS) as shrinking:
         assert shrinking.next() is not None
     assert read_facts(folder / 'small')['timing'] == f'{WORDS} draws=0.1'

@@ -7,6 +7,7 @@ from taxinet_process import taxinet_apart
 
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.core.perception.weights import SHIPPED, load_model
+from taxinet_ros.files.record import RECORD_NAME, read_record
 
 WET = """
 model runway_world
@@ -30,7 +31,8 @@ def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(t
     ended = taxinet_apart(*WORDS, '--out', 'loop', cwd=tmp_path)
     assert (ended.returncode, ended.stderr) == (0, '')
     out = tmp_path / 'loop'
-    (line,) = [json.loads(text) for text in (out / 'rounds.jsonl').read_text().splitlines()]
+    (line,) = json.loads((out / 'rounds.json').read_text())
+    assert read_record(out / RECORD_NAME)['round'] == {'1': line}
     tables = [
         read_table(out / f'round-1-{name}') for name in ('falsify', 'incumbent', 'candidate')
     ]
@@ -55,7 +57,7 @@ def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(t
     (('--budget', '12', '--rounds', '9'), 'improve: --budget 12 leaves 0 runs'),
     (('--add', 'crossing'), "--add 'crossing': not PROGRAM=COUNT"),
     (('--resume',), '--resume: name the folder to continue with --out'),
-    (('--resume', '--out', 'none'), 'none/improve.json: No such file'),
+    (('--resume', '--out', 'none'), '--resume: none: no study of taxinet improve'),
     (('--out', 'here'), '--out here: already exists'),
 ])
 def test_given_bad_input_then_one_line_and_exit_code_2(words, reason, taxinet, tmp_path):

@@ -1,4 +1,4 @@
-"""What is found out about real runs: the commands of the stages run in this process."""
+"""What is found out about real runs."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ import shutil
 from pathlib import Path
 
 import pytest
+from recorded_runs import record_runs
 
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
-from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.perception.weights import SHIPPED, card_path
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import SimulatedWorld
 from taxinet_ros.errors import UsageError
+from taxinet_ros.study.stages.stage import with_engine
 from taxinet_ros.study.why.investigation import (
     Investigation,
     StoppedError,
@@ -47,32 +49,29 @@ def coarse(monkeypatch):
 
 
 class Stages:
-    """Runs the commands of stages in this process, and notes them."""
+    """Runs stages, and notes them."""
 
-    def __init__(self, taxinet, out: Path) -> None:
-        self.taxinet, self.out, self.done = taxinet, out, []
+    def __init__(self, out: Path) -> None:
+        self.out, self.done = out, []
 
     def run(self, stages):
         refused = {}
         for stage in stages:
             assert stage.ready(self.out), stage.name
-            folder = self.out / stage.name
-            folder.mkdir(exist_ok=True)
-            words = [*stage.command(), *(
-                ('--engine', 'loop', '--audit', '0')
-                if stage.words[0] in ('shrink', 'experiment') else ())]
-            code, _, err = self.taxinet(*words)
+            (self.out / stage.name).mkdir(exist_ok=True)
             self.done.append(stage.name)
-            if code not in stage.accepts:
-                assert stage.optional, (stage.name, err)
-                refused[stage.name] = err.splitlines()[-1]
+            try:
+                assert call_stage(*with_engine([stage], 'loop', '0'), False) in stage.accepts
+            except UsageError as error:
+                assert stage.optional, stage.name
+                refused[stage.name] = str(error)
         return 0, refused
 
 
-def looked_into(path: Path, taxinet, tmp_path: Path, **options):
+def looked_into(path: Path, tmp_path: Path, **options):
     out = tmp_path / 'why'
     out.mkdir()
-    stages = Stages(taxinet, out)
+    stages = Stages(out)
     found = Investigation(
         path=path, out=out, perception=None, budget=Budget(runs=24), workers=1,
         run_stages=stages.run, **options,
@@ -82,11 +81,11 @@ def looked_into(path: Path, taxinet, tmp_path: Path, **options):
 
 @pytest.mark.ros
 def test_given_a_run_that_the_network_lost_in_rain_then_the_rain_is_found_and_confirmed(
-    tmp_path, taxinet
+    tmp_path
 ):
     bag = tx.run(WET, perception='original', specs=NEAR).save_bag(
         tmp_path / 'runs' / 'wet', images=False)
-    found, stages = looked_into(bag, taxinet, tmp_path)
+    found, stages = looked_into(bag, tmp_path)
     assert found.blames == Blames(network=1)
     assert stages.done == ['explain', 'shrink', 'confirm']
     (cause,) = found.causes
@@ -102,11 +101,11 @@ def test_given_a_run_that_the_network_lost_in_rain_then_the_rain_is_found_and_co
     assert verdict.sentences[0].startswith('original was trained with clouds cirrus, clear')
 
 
-def test_given_a_run_that_began_outside_then_the_requirement_is_at_fault(tmp_path, taxinet):
+def test_given_a_run_that_began_outside_then_the_requirement_is_at_fault(tmp_path):
     scene = tx.Scenario(cross_track_m=5.0, duration_s=2.0)
     bag = tx.run(scene, perception='truth', specs='inside=always(abs(cte) <= 1.5)').save_bag(
         tmp_path / 'runs' / 'out', images=False)
-    found, stages = looked_into(bag, taxinet, tmp_path)
+    found, stages = looked_into(bag, tmp_path)
     assert found.blames == Blames(requirement=1)
     assert judge(found).fault is Fault.REQUIREMENT
     assert 'no network to examine' in found.troubles['explain']
@@ -114,13 +113,13 @@ def test_given_a_run_that_began_outside_then_the_requirement_is_at_fault(tmp_pat
 
 
 def test_given_a_run_that_fails_with_the_truth_too_then_the_controller_is_at_fault(
-    tmp_path, taxinet
+    tmp_path
 ):
     weak = tx.SteeringLaw(tx.SteeringGains(heading_gain=0.01))
     scene = tx.Scenario(cross_track_m=5.0, duration_s=3.0)
     bag = tx.run(scene, perception='truth', controller=weak, specs=NEAR).save_bag(
         tmp_path / 'runs' / 'weak', images=False)
-    found, stages = looked_into(bag, taxinet, tmp_path)
+    found, stages = looked_into(bag, tmp_path)
     assert found.blames == Blames(controller=1)
     assert stages.done == ['shrink']
     whose, where, _ = judge(found).sentences
@@ -129,13 +128,13 @@ def test_given_a_run_that_fails_with_the_truth_too_then_the_controller_is_at_fau
 
 
 def test_given_a_campaign_whose_runs_are_all_lost_at_once_then_no_network_is_blamed(
-    tmp_path, taxinet
+    tmp_path
 ):
     found = tx.falsify(
         'nominal', runs=3, perception='truth', specs='far=always(abs(cte) >= 3)',
         settings={'duration_s': 1}, out=tmp_path / 'found',
     ).folder
-    found, stages = looked_into(found, taxinet, tmp_path)
+    found, stages = looked_into(found, tmp_path)
     assert stages.done == ['analyze', 'localize', 'shrink']
     assert found.blames == Blames(requirement=2)  # the budget is for two of the three
     assert judge(found).fault is Fault.REQUIREMENT
@@ -143,15 +142,15 @@ def test_given_a_campaign_whose_runs_are_all_lost_at_once_then_no_network_is_bla
     assert 'all runs fail, so causes cannot be distinguished' in found.troubles['causes']
 
 
-def test_given_a_run_that_passed_then_no_stage_is_run(tmp_path, taxinet):
+def test_given_a_run_that_passed_then_no_stage_is_run(tmp_path):
     bag = tx.run(tx.Scenario(duration_s=1.0), perception='truth', specs=NEAR).save_bag(
         tmp_path / 'runs' / 'good', images=False)
-    found, stages = looked_into(bag, taxinet, tmp_path)
+    found, stages = looked_into(bag, tmp_path)
     assert (judge(found).fault, stages.done) == (Fault.NOTHING, [])
 
 
 def test_given_weights_that_are_gone_then_the_verdict_is_unclear_and_says_which(
-    tmp_path, taxinet
+    tmp_path
 ):
     weights = tmp_path / 'mine.safetensors'
     for one, other in ((card_path(SHIPPED['original']), card_path(weights)),
@@ -161,7 +160,7 @@ def test_given_weights_that_are_gone_then_the_verdict_is_unclear_and_says_which(
     bag = tx.run(scene, perception=str(weights), specs=NEAR).save_bag(
         tmp_path / 'runs' / 'gone', images=False)
     weights.unlink()
-    found, stages = looked_into(bag, taxinet, tmp_path)
+    found, stages = looked_into(bag, tmp_path)
     assert stages.done == []
     verdict = judge(found)
     assert verdict.fault is Fault.UNCLEAR
@@ -182,15 +181,12 @@ def recorded(folder: Path, outcomes: list[Outcome]) -> Path:
             **tx.Scenario(cross_track_m=float(index)).to_human(),
         ) for index, outcome in enumerate(outcomes)
     ]
-    with Ledger(folder / 'ledger.jsonl') as ledger:
-        ledger.campaign({
-            'program': 's_falsif.scenic', 'runs': len(rows), 'perception': 'original',
-            'specs': {'phi': 'always((abs(cte) <= 1.5))'}, 'controller': 'steering',
-        })
-        for row in rows:
-            ledger.intent(row.index, row.run_id)
-            ledger.result(row)
-    write_tables(rows, folder, ('phi',))
+    facts = {
+        'program': 's_falsif.scenic', 'perception': 'original',
+        'specs': {'phi': 'always((abs(cte) <= 1.5))'}, 'controller': 'steering',
+    }
+    record_runs(folder, facts, rows)
+    write_tables(rows, folder, facts)
     return folder
 
 
@@ -204,7 +200,7 @@ def test_given_a_campaign_without_failures_then_nothing_is_run_and_the_verdict_s
 ):
     (tmp_path / 'found').mkdir()
     folder = recorded(tmp_path / 'found', outcomes)
-    found, stages = looked_into(folder, taxinet, tmp_path)
+    found, stages = looked_into(folder, tmp_path)
     assert (judge(found).fault, stages.done, dict(found.others)) == (fault, [], others)
     code, said, _ = taxinet('why', folder, '--out', tmp_path / 'page', '--json')
     told = json.loads(said)
@@ -213,7 +209,7 @@ def test_given_a_campaign_without_failures_then_nothing_is_run_and_the_verdict_s
     assert told['sentences'][0] in page.replace('&#39;', "'")
 
 
-def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(tmp_path, taxinet):
+def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(tmp_path):
     (tmp_path / 'found').mkdir()
     folder = recorded(tmp_path / 'found', [Outcome.PASS, Outcome.FAIL])
     work = Investigation(
@@ -226,11 +222,11 @@ def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(tmp_path, t
 
 
 def test_what_is_neither_campaign_nor_run_is_refused_with_what_could_be_named(tmp_path):
-    with pytest.raises(UsageError, match='neither the folder of a campaign, nor a table'):
+    with pytest.raises(UsageError, match='neither the folder of a campaign nor the bag'):
         kind_of(tmp_path)
     tx.run(tx.Scenario(duration_s=0.5), perception='truth', specs='low=always(cte < 9)').save_bag(
         tmp_path / 'one', images=False)
-    with pytest.raises(UsageError, match=r'bags without the ledger.jsonl .* as .*/one'):
+    with pytest.raises(UsageError, match=r'bags without the campaign.db .* as .*/one'):
         kind_of(tmp_path)
     assert kind_of(tmp_path / 'one') == 'run'
 

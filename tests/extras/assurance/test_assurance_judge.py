@@ -1,8 +1,10 @@
 """How a monitor is judged: known answers of counts, times, rates and bounds, and a small study."""
 
+import contextlib
 import dataclasses
 import json
 import math
+import sqlite3
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +15,6 @@ from taxinet_ros.core.assurance.monitor import conformal_threshold
 from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.assurance import judge as judging_module
 from taxinet_ros.extras.assurance.calibrate import (
     CalibrateOptions,
     calibrate,
@@ -22,7 +23,6 @@ from taxinet_ros.extras.assurance.calibrate import (
 )
 from taxinet_ros.extras.assurance.judge import (
     FACTORS,
-    SCENES_NAME,
     WITHOUT,
     JudgeOptions,
     Trial,
@@ -36,6 +36,7 @@ from taxinet_ros.extras.assurance.judge import (
     trade_of,
 )
 from taxinet_ros.extras.assurance.show import judged_lines, run_judge, run_show
+from taxinet_ros.files.record import RECORD_NAME, read_record
 
 
 def no_progress(stage, done, total):
@@ -50,7 +51,7 @@ def no_progress(stage, done, total):
     ([(12, 31)], 12.0, True), ([(0, 4), (8, 11)], 8.0, True), ([(12, 13), (20, 21)], 12.0, True),
 ])
 def test_given_a_run_then_an_alarm_is_due_when_it_leaves_the_line_for_its_violation(
-    outside, due, within,
+    outside, due, within
 ):
     times = [k / 10 for k in range(301)]
     cte = [2.0 if any(a <= t < b for a, b in outside) else -1.0 for t in times]
@@ -240,7 +241,7 @@ def test_given_a_calibration_then_its_monitor_is_judged(tmp_path, judging, capsy
 
 
 def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_an_end_amid(
-    tmp_path, judging, capsys, monkeypatch
+    tmp_path, judging, capsys
 ):
     assert run_judge(JudgeOptions(**judging, out=tmp_path / 'out'), as_json=False) == 0
     told = capsys.readouterr().out
@@ -252,30 +253,25 @@ def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_a
     assert len((tmp_path / 'out' / 'alarms.csv').read_text().splitlines()) == 3
     assert (tmp_path / 'out' / 'trade.png').stat().st_size > 5000
     assert [one['factor'] for one in kept['judged']['trade']] == list(FACTORS)
-    goes_on_after_an_end_amid(tmp_path, judging, monkeypatch)
-
-
-def goes_on_after_an_end_amid(tmp_path, judging, monkeypatch):
-    """What is done is kept and not driven again, and what is damaged is not taken."""
-    out = tmp_path / 'out'
+    # What is done is kept and not driven again; what is damaged is.
+    out, record = tmp_path / 'out', tmp_path / 'out' / RECORD_NAME
     whole = {path.name: path.read_bytes() for path in out.iterdir()}
-    lines = whole[SCENES_NAME].splitlines(keepends=True)
-    assert len(lines) == 3
-    driven = []
-    drive = judging_module._scene
-    monkeypatch.setattr(
-        judging_module, '_scene', lambda given: driven.append(given[0]) or drive(given))
-    (out / SCENES_NAME).write_bytes(b''.join(lines[:2]) + lines[2][:40])
-    assert run_judge(JudgeOptions(**judging, out=out), as_json=False) == 0
-    assert driven == [1]
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == whole
+    entries = read_record(record)
+    assert len(entries['trial']) == 2
+    done = []
+    assert judge(JudgeOptions(**judging, out=out), lambda *told: done.append(told)).runs == 2
+    assert (done, record.read_bytes()) == ([], whole[RECORD_NAME])
+    with contextlib.closing(sqlite3.connect(record)) as file, file:
+        file.execute('UPDATE entries SET value = "{}" WHERE key = ?', [max(entries['trial'])])
+    assert judge(JudgeOptions(**judging, out=out), lambda *told: done.append(told)).runs == 2
+    assert done == [('scenes', 2, 2)]
+    assert read_record(record) == entries
+    for name in ('trials.csv', 'alarms.csv'):
+        assert (out / name).read_bytes() == whole[name]
     with pytest.raises(UsageError, match='has runs of another perception, controller, monitor'):
         judge(JudgeOptions(**{**judging, 'fallbacks': ('stop',)}, out=out), no_progress)
-    (out / SCENES_NAME).write_bytes(whole[SCENES_NAME].replace(b'0', b'1', 1))
-    with pytest.raises(UsageError, match=r'scenes\.jsonl:\d: damaged line'):
-        judge(JudgeOptions(**judging, out=out), no_progress)
-    (out / SCENES_NAME).unlink()
-    with pytest.raises(UsageError, match='exists'):
+    record.unlink()
+    with pytest.raises(UsageError, match='contains something else'):
         JudgeOptions(**judging, out=out)
 
 

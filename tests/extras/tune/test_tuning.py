@@ -6,17 +6,14 @@ import dataclasses
 import itertools
 import json
 import math
-import sys
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.campaign.options import DEFAULT_JUDGING
-from taxinet_ros.campaign.past_runs.localisation import Trial
 from taxinet_ros.campaign.past_runs.shared_scenes import SceneSet, scenes_of_program
-from taxinet_ros.cli.main import main
+from taxinet_ros.campaign.past_runs.trials import Trial
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.errors import UsageError
@@ -28,6 +25,7 @@ from taxinet_ros.extras.tune.tuning import (
     tuned_json,
     varied_gains,
 )
+from taxinet_ros.files.record import RECORD_NAME, read_record
 
 
 def trial(number: int, rho: float | None) -> Trial:
@@ -51,26 +49,22 @@ def race(table: dict[float, list[float | None]], at_once: int = 1) -> tuple[Race
     return found, made
 
 
-RHOS = st.floats(-5, 5, allow_nan=False)
+ROWS = st.integers(1, 6).flatmap(lambda scenes: st.lists(
+    st.lists(st.floats(-5, 5, allow_nan=False), min_size=scenes, max_size=scenes), min_size=1,
+    max_size=8))
 
 
-@given(st.integers(1, 6).flatmap(
-    lambda scenes: st.lists(st.lists(RHOS, min_size=scenes, max_size=scenes), min_size=1,
-                            max_size=8)))
-def test_given_any_results_then_the_race_finds_what_trying_everything_finds(rows):
-    found, made = race(dict(enumerate(map(list, rows))))
+@given(ROWS, st.integers(2, 7))
+def test_given_any_results_then_the_race_finds_what_trying_everything_finds(rows, at_once):
+    table = dict(enumerate(map(list, rows)))
+    found, made = race(table)
     assert found.best.worst == max(map(min, rows))
     assert made == sum(one.runs for one in found.candidates) <= sum(map(len, rows))
     for one, row in zip(found.candidates, rows, strict=True):
         assert one.worst is not None
         assert one.worst >= min(row)
         assert one.dropped or one.worst == min(row)
-
-
-@given(st.lists(st.lists(RHOS, min_size=5, max_size=5), min_size=1, max_size=6), st.integers(2, 7))
-def test_given_more_workers_then_the_candidates_are_the_same(rows, at_once):
-    table = dict(enumerate(map(list, rows)))
-    assert race(table)[0].candidates == race(table, at_once)[0].candidates
+    assert race(table, at_once)[0].candidates == found.candidates, 'with more workers'
 
 
 def test_given_a_run_that_breaks_then_its_candidate_cannot_win():
@@ -78,6 +72,7 @@ def test_given_a_run_that_breaks_then_its_candidate_cannot_win():
     assert [one.worst for one in found.candidates] == [0.1, None, 0.2]
     assert found.candidates[1].detail == 'broken'
     assert found.best is found.candidates[2]
+    assert race({0: [1.0, 1.0], 1: [0.5, 2.0]})[1] == 3, 'the second cannot win after its first'
 
 
 def test_given_a_known_optimum_then_the_proposals_find_it():
@@ -117,17 +112,10 @@ def test_given_units_then_a_range_is_that_of_the_gain():
     (one,) = varied_gains(['steering.max_intercept_rad=10 deg:60 deg'])
     assert (one.low, one.high) == (math.radians(10), math.radians(60))
     assert len(varied_gains([])) == 3
-
-
-def test_given_a_gain_per_metre_then_degrees_per_metre_are_a_unit_of_it_and_degrees_are_none():
-    assert typed_gain('cte_gain_rad_per_m', '1.68 deg/m') == math.radians(1.68)
-    assert typed_gain('cte_gain_rad_per_m', '0.03 rad/m') == 0.03
-    assert typed_gain('cte_gain_rad_per_m', '0.03') == 0.03
-    with pytest.raises(UsageError) as refused:
+    for text, value in (('1.68 deg/m', math.radians(1.68)), ('0.03 rad/m', 0.03), ('0.03', 0.03)):
+        assert typed_gain('cte_gain_rad_per_m', text) == value
+    with pytest.raises(UsageError, match=r'1.68 deg: expected a number in rad/m, deg/m, °/m$'):
         typed_gain('cte_gain_rad_per_m', '1.68 deg')
-    assert str(refused.value) == (
-        'steering.cte_gain_rad_per_m=1.68 deg: expected a number in rad/m, deg/m, °/m'
-    )
 
 
 @pytest.fixture(scope='module')
@@ -167,13 +155,13 @@ def test_given_gains_too_small_then_better_ones_are_found_and_an_interrupt_chang
     out, looks = tmp_path / 'parts', itertools.count()
     with Tuning(options, out) as tuning:
         assert tuning.run(interrupted=lambda: next(looks) > 4) is None
-    lines = (out / 'trials.jsonl').read_text().count('\n')
+    kept = len(read_record(out / RECORD_NAME)['trial'])
     made = []
     with Tuning(dataclasses.replace(options, workers=2), out) as tuning:
         again = tuning.run(on_run=lambda: made.append(1))
     assert again == whole
-    assert lines > 1
-    assert len(made) < whole.runs + 2 * len(whole.before)
+    assert kept > 0
+    assert len(made) == len(read_record(out / RECORD_NAME)['trial']) - kept
 
 
 def test_given_other_settings_or_scenes_of_the_search_then_they_are_refused(options, tmp_path):
@@ -190,26 +178,15 @@ def test_given_other_settings_or_scenes_of_the_search_then_they_are_refused(opti
         Tuning(options, tmp_path / 'full')
 
 
-def test_given_the_command_then_it_prints_and_writes_what_was_found(
-    monkeypatch, capsys, tmp_path: Path,
-):
-    monkeypatch.chdir(tmp_path)
-    words = [
+def test_given_the_command_then_it_prints_and_writes_what_was_found(taxinet, tmp_path):
+    code, out, err = taxinet(
         'tune', 's_falsif', '--perception', 'truth', '--candidates', '3', '--scenes', '2',
         '--unseen', '6', '--workers', '1', '--set', 'steering.cte_gain_rad_per_m=0.01', '--vary',
         'steering.cte_gain_rad_per_m=0.05:0.1', '--out', 'out',
-    ]
-    monkeypatch.setattr(sys, 'argv', ['taxinet', *words])
-    with pytest.raises(SystemExit) as left:
-        main()
-    told = capsys.readouterr()
-    assert (left.value.code, told.err) == (0, '')
-    assert 'better on scenes that the search has not seen' in told.out
-    assert 'next: taxinet falsify s_falsif --perception truth --set steering.cte' in told.out
-    assert {path.name for path in Path('out').iterdir()} == {
-        'trials.jsonl', 'tune.json'}
-    monkeypatch.setattr(sys, 'argv', ['taxinet', 'tune', '--set', 'rain=0'])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 2
-    assert 'expected steering.GAIN=VALUE' in capsys.readouterr().err
+    )
+    assert (code, err) == (0, '')
+    assert 'better on scenes that the search has not seen' in out
+    assert 'next: taxinet falsify s_falsif --perception truth --set steering.cte' in out
+    assert {path.name for path in (tmp_path / 'out').iterdir()} == {RECORD_NAME, 'tune.json'}
+    code, _, err = taxinet('tune', '--set', 'rain=0')
+    assert (code, 'expected steering.GAIN=VALUE' in err) == (2, True)

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 
 import pytest
 from campaign_records import write_campaign
-from fault_runs import request, run, steps_in
 from five_outcomes import five_outcomes
+from graph_runs import request, run, steps_in
 from hypothesis import given
 from hypothesis import strategies as st
 

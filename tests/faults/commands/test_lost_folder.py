@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from campaign_records import results
-from command_process import ended, taxinet
+from command_process import ended, small_disk, taxinet
 from waiting import wait_for
 
 from taxinet_ros.campaign.record.content import read_campaign
@@ -68,19 +68,8 @@ def test_f9_given_a_record_that_is_taken_away_then_the_campaign_ends_and_tells_w
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
     """A disk on which there is room for a record, but for no bag."""
-    place = tmp_path / 'disk'
-    place.mkdir()
-    words = ['mount', '-t', 'tmpfs', '-o', 'size=400k', 'taxinet-test', str(place)]
-    try:
-        done = subprocess.run(words, capture_output=True, text=True)
-    except FileNotFoundError:
-        pytest.skip('no mount here')
-    if done.returncode:
-        pytest.skip(f'may not mount ({done.stderr.strip()})')
-    try:
+    with small_disk(tmp_path / 'disk', '400k') as place:
         yield place
-    finally:
-        subprocess.run(['umount', '-l', str(place)], check=True)
 
 
 def test_f1_given_a_full_disk_when_there_is_room_again_then_the_campaign_ends_as_undisturbed(

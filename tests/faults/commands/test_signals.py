@@ -9,7 +9,7 @@ import sys
 
 import pytest
 from command_process import COMMAND, RUN, ended, on_terminal, taxinet
-from fault_runs import grown, steps_in
+from graph_runs import grown, steps_in
 from process_table import children, gone
 from waiting import wait_for
 

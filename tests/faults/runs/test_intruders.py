@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 import rclpy
-from fault_runs import request, run, steps_in
 from geometry_msgs.msg import TransformStamped
+from graph_runs import request, run, steps_in
 from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.node import Node
@@ -123,6 +123,22 @@ def test_f4_given_a_peer_that_speaks_amid_a_run_then_it_ends_without_a_verdict_a
     assert_bag_has_no_verdict(tmp_path / 'run', PEER)
 
 
+@pytest.mark.parametrize(
+    'topic', [interface.ODOMETRY, interface.ESTIMATE, interface.VERDICT],
+    ids=lambda topic: topic.name.replace('/', '-'),
+)
+def test_f4_a_publisher_that_is_gone_at_the_next_check_ends_the_run_too(topic, tmp_path):
+    def speak_and_leave(graph: Any) -> None:
+        with peer(graph) as node:
+            node.destroy_publisher(speak(graph, node, topic))
+        wait_for(lambda: graph.nodes[0].count_publishers(topic.name) == 1)
+
+    result = disturbed(tmp_path, speak_and_leave)
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
+    assert result.detail == f'a second publisher of {topic.name} came and left'
+    assert_bag_has_no_verdict(tmp_path / 'run', result.who)
+
+
 @pytest.mark.parametrize('name', [PEER, interface.PERCEPTION])
 def test_f4_given_a_second_publisher_from_the_start_then_no_run_begins_and_it_is_named(
     name, tmp_path
@@ -172,7 +188,7 @@ def test_f4_given_a_peer_that_is_noticed_only_at_the_end_then_the_verdict_is_wit
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
     with composed_graph(options) as graph, contextlib.ExitStack() as stack:
         came = amid_the_run(
-            graph, lambda: speak(graph, stack.enter_context(peer(graph)), interface.ROBUSTNESS)
+            graph, lambda: speak(graph, stack.enter_context(peer(graph)), interface.PROGRESS)
         )
         (result,) = run(graph, request(duration=5.0))
     assert came

@@ -7,7 +7,7 @@ import signal
 import threading
 
 import pytest
-from fault_runs import request, run, steps_in
+from graph_runs import request, run, steps_in
 from rclpy.parameter import Parameter
 from waiting import PATIENT_S, wait_for
 

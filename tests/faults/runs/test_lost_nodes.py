@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from fault_runs import once, request, run, steps_in
+from graph_runs import once, request, run, steps_in
 from waiting import PATIENT_S
 
 from taxinet_ros.bag.reader import read_info

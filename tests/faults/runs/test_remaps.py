@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fault_runs import request, run
+from graph_runs import request, run
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 from tampering import changed, tamper

@@ -7,7 +7,7 @@ import signal
 import time
 
 import pytest
-from fault_runs import grown, once, request, run, steps_in
+from graph_runs import grown, once, request, run, steps_in
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.core.pacing.timing import AT_ONCE, free_timing

@@ -8,6 +8,7 @@ from pathlib import Path
 import jsbsim
 import pytest
 import yaml
+from graph_runs import run_in
 from own_place import OWN_PLACE
 from plugins import lay_down
 
@@ -73,13 +74,11 @@ def check_same(
     world: str = 'kmwh',
 ) -> list[RunResult]:
     """Make runs with both engines, and compare results and both files of each bag."""
-    theirs: list[RunResult] = []
     graph = GraphOptions(
         perception=perception, controller=controller, out=tmp_path / 'graph', gains=gains or {},
         timing=timing, images=images, world=world,
     )
-    with composed_graph(graph) as opened:
-        opened.run(asked, lambda _, result: theirs.append(result) is None)
+    theirs = run_in(composed_graph(graph), *asked)
     (tmp_path / 'loop').mkdir()
     loop = Loop(LoopOptions(
         perception=perception, controller=controller, out=tmp_path / 'loop', gains=gains or {},
@@ -87,7 +86,6 @@ def check_same(
         world_sha256=find_world(world).fingerprint,
     ))
     ours = [loop.run(one) for one in asked]
-    assert len(theirs) == len(asked)
     for one, mine, other in zip(asked, ours, theirs, strict=True):
         bags = tmp_path / 'loop' / one.run_id, tmp_path / 'graph' / one.run_id
         assert bag_difference(*bags) == ''
@@ -153,21 +151,6 @@ def test_given_latency_and_functions_of_a_file_then_every_byte_is_the_same(tmp_p
     assert results[0].robustness != results[1].robustness, 'latencies are drawn for each run'
 
 
-@pytest.mark.parametrize('images', ['none', 'all'])
-@pytest.mark.parametrize('broken', ['perception', 'controller'])
-def test_given_a_function_that_fails_amid_a_run_then_both_engines_name_it_alike(
-    broken, images, tmp_path
-):
-    (tmp_path / 'bad.py').write_text(BAD)
-    words = {'perception': 'truth', 'controller': 'steering'}
-    words[broken] = f'{tmp_path}/bad.py:{"Falling" if broken == "perception" else "steep"}'
-    (result,) = check_same(
-        [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path, images=images, **words
-    )
-    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'node_error')
-    assert result.last_seq == (5 if broken == 'perception' else 3)
-
-
 MONITORS = """
 class Late:
     def __init__(self):
@@ -198,14 +181,24 @@ def test_given_a_monitor_that_switches_then_every_byte_is_the_same(fallback, tmp
     assert commands[4:] == [0.0 if fallback == 'stop' else 5.0] * 12
 
 
-def test_given_a_monitor_that_fails_then_both_engines_name_the_controller(tmp_path):
+@pytest.mark.parametrize(('perception', 'controller', 'images', 'last_seq'), [
+    ('bad.py:Falling', 'steering', 'all', 5), ('truth', 'bad.py:steep', 'none', 3),
+    ('truth', 'steering+mon.py:falls+stop', 'none', 0),
+])
+def test_given_a_function_that_fails_amid_a_run_then_both_engines_name_it_alike(
+    perception, controller, images, last_seq, tmp_path, monkeypatch
+):
+    (tmp_path / 'bad.py').write_text(BAD)
     (tmp_path / 'mon.py').write_text(MONITORS)
+    monkeypatch.chdir(tmp_path)
     (result,) = check_same(
-        [request(0, Scenario(duration_s=1.0))], tmp_path, perception='truth',
-        controller=f'steering+{tmp_path}/mon.py:falls+stop',
+        [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path, images=images,
+        perception=perception, controller=controller,
     )
-    assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, 'steering_controller')
-    assert result.last_seq == 0
+    assert (result.outcome, result.kind, result.last_seq) == (
+        Outcome.INFRA_ERROR, 'node_error', last_seq
+    )
+    assert result.who == ('perception' if perception != 'truth' else 'steering_controller')
 
 
 PACKAGE = """

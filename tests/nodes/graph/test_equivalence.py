@@ -3,17 +3,16 @@
 The traces are bit-identical, and the frames, and so are the bags of the two graphs.
 """
 
-from pathlib import Path
 
 import pytest
+from graph_runs import files, judged_in, request
 
 import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.nodes.interface import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
@@ -61,43 +60,25 @@ def specs_of(scene: tx.Scenario) -> tuple[str, ...]:
 
 def requests() -> list[RunRequest]:
     return [
-        RunRequest(
-            run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
-            judging=Judging(specs=specs_of(scene)), participants=PARTICIPANTS,
-        )
+        request(f'run-{index}', scenario=scene, judging=Judging(specs=specs_of(scene)))
         for index, scene in enumerate(SCENES)
     ]
-
-
-def run_graph(opened, asked: list[RunRequest]) -> dict[str, RunResult]:
-    results: dict[str, RunResult] = {}
-
-    def keep(request: RunRequest, result: RunResult) -> bool:
-        results[request.run_id] = result
-        return True
-
-    with opened as graph:
-        graph.run(asked, keep)
-    assert set(results) == {request.run_id for request in asked}
-    for result in results.values():
-        assert result.outcome.judged, result
-    return results
 
 
 @pytest.mark.filterwarnings('ignore:.* no effect, as the perception needs no picture')
 @pytest.mark.parametrize('word', ['truth', 'taxinet'])
 def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(word, tmp_path):
     options = {name: GraphOptions(perception=word, out=tmp_path / name) for name in ('one', 'many')}
-    composed = run_graph(composed_graph(options['one']), requests())
-    processes = run_graph(process_graph(options['many'], tmp_path / 'logs'), requests())
+    composed = judged_in(composed_graph(options['one']), *requests())
+    processes = judged_in(process_graph(options['many'], tmp_path / 'logs'), *requests())
 
-    for request in requests():
-        specs = specs_of(request.scenario)
-        run = tx.run(request.scenario, perception=word, specs=specs)
+    for number, asked in enumerate(requests()):
+        specs = specs_of(asked.scenario)
+        run = tx.run(asked.scenario, perception=word, specs=specs)
         images = list(run.frames())
         assert len(run.trace) == STEPS
         for name, results in (('one', composed), ('many', processes)):
-            bag = tmp_path / name / request.run_id
+            bag = tmp_path / name / asked.run_id
             trace = open_recording(bag).trace
             assert list(trace.columns) == list(run.trace.columns)
             assert trace.attrs == run.trace.attrs
@@ -105,7 +86,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
                 there, here = (table[column].to_numpy() for table in (trace, run.trace))
                 assert there.dtype == here.dtype
                 assert there.tobytes() == here.tobytes(), (name, column)
-            result = results[request.run_id]
+            result = results[number]
             assert result.outcome is run.outcome
             assert list(result.rho) == list(run.rho) == [*NAMES, *specs[len(SPECS):]]
             assert list(result.rho.values()) == [interval.lower for interval in run.rho.values()]
@@ -115,20 +96,15 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
             assert len(seen) == STEPS
             for image, rendered in zip(seen, images, strict=True):
                 assert image.tobytes() == rendered.tobytes()
-        files = [_files(tmp_path / name / request.run_id) for name in ('one', 'many')]
-        assert set(files[0]) == {f'{request.run_id}_0.mcap', 'metadata.yaml'}
-        assert files[0] == files[1], 'the bags differ in bytes'
+        one, many = (files(tmp_path / name / asked.run_id) for name in ('one', 'many'))
+        assert set(one) == {f'{asked.run_id}_0.mcap', 'metadata.yaml'}
+        assert one == many, 'the bags differ in bytes'
 
 
 def test_given_the_same_run_after_another_one_then_nothing_of_the_first_is_left_in_it(tmp_path):
     first, _, second, *_ = requests()
-    options = GraphOptions(perception='truth', out=tmp_path / 'both')
-    run_graph(composed_graph(options), [first, second])
-    options = GraphOptions(perception='truth', out=tmp_path / 'alone')
-    run_graph(composed_graph(options), [second])
-    both, alone = (_files(tmp_path / name / second.run_id) for name in ('both', 'alone'))
+    for name, asked in (('both', [first, second]), ('alone', [second])):
+        options = GraphOptions(perception='truth', out=tmp_path / name)
+        judged_in(composed_graph(options), *asked)
+    both, alone = (files(tmp_path / name / second.run_id) for name in ('both', 'alone'))
     assert both == alone
-
-
-def _files(folder: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in folder.iterdir()}

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from graph_runs import files, request, run_in
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE, restore_frames
@@ -11,7 +12,6 @@ from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
-from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.steering_controller import SteeringController
 
 pytestmark = pytest.mark.ros
@@ -24,30 +24,13 @@ def requests() -> list[RunRequest]:
     values = {'cross_track': 4.0, 'heading': 9, 'time_of_day': 16.5, 'clouds': 'broken', 'rain': 40}
     scenario = scenario_from_human({**values, 'duration': 1})
     return [
-        RunRequest(
-            run_id=spec, index=index, program='test', seed=1, scenario=scenario,
-            judging=Judging(specs=(spec,)),
-            participants=PARTICIPANTS,
-        )
-        for index, spec in enumerate(('phi_always', 'on_runway'))
+        request(spec, scenario=scenario, judging=Judging(specs=(spec,)))
+        for spec in ('phi_always', 'on_runway')
     ]
 
 
 def run_graph(out: Path, images: str, asked: list[RunRequest]) -> list[RunResult]:
-    results: list[RunResult] = []
-
-    def keep(request: RunRequest, result: RunResult) -> bool:
-        results.append(result)
-        return True
-
-    options = GraphOptions(perception='truth', out=out, images=images)
-    with composed_graph(options) as graph:
-        graph.run(asked, keep)
-    return results
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return run_in(composed_graph(GraphOptions(perception='truth', out=out, images=images)), *asked)
 
 
 def test_given_a_failed_run_then_its_bag_is_that_of_all_frames_to_the_byte(tmp_path):
@@ -55,16 +38,16 @@ def test_given_a_failed_run_then_its_bag_is_that_of_all_frames_to_the_byte(tmp_p
         results = run_graph(tmp_path / images, images, requests())
         assert [result.outcome for result in results] == [Outcome.FAIL, Outcome.PASS]
     bags = {
-        images: [files(tmp_path / images / request.run_id) for request in requests()]
+        images: [files(tmp_path / images / asked.run_id) for asked in requests()]
         for images in ('all', 'failures', 'none')
     }
     assert read_info(tmp_path / 'all' / 'phi_always').counts[IMAGE] == STEPS
     assert bags['failures'][0] == bags['all'][0], 'the failed run'
     assert bags['failures'][1] == bags['none'][1], 'the passed run'
     assert bags['none'][1] != bags['all'][1]
-    for request, expected in zip(requests(), bags['all'], strict=True):
-        rendered = tmp_path / 'rendered' / request.run_id
-        list(restore_frames(open_recording(tmp_path / 'none' / request.run_id), rendered))
+    for asked, expected in zip(requests(), bags['all'], strict=True):
+        rendered = tmp_path / 'rendered' / asked.run_id
+        list(restore_frames(open_recording(tmp_path / 'none' / asked.run_id), rendered))
         assert files(rendered) == expected
 
 

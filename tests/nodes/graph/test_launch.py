@@ -69,8 +69,7 @@ def planned(**given: str) -> dict[str, NodePlan]:
 
 
 def test_r11_given_no_word_then_every_node_of_the_graph_is_started_with_the_usual_parts():
-    nodes = planned(out='somewhere')
-    assert [(node.name, node.executable) for node in nodes.values()] == [
+    assert [(node.name, node.executable) for node in planned(out='somewhere').values()] == [
         ('simulator', 'simulator'),
         ('perception', 'taxinet_perception'),
         ('steering_controller', 'steering_controller'),
@@ -78,23 +77,34 @@ def test_r11_given_no_word_then_every_node_of_the_graph_is_started_with_the_usua
         ('recorder', 'recorder'),
         ('scenario_sampler', 'scenario_sampler'),
     ]
-    assert nodes['recorder'].parameters == {'out': 'somewhere', 'images': 'all'}
-    assert nodes['scenario_sampler'].parameters['out'] == 'somewhere'
-    assert nodes['scenario_sampler'].parameters['program'] == 's_falsif'
 
 
-@pytest.mark.parametrize('word', ['original', 'truth', 'my.onnx', 'my.safetensors', 'own.py:look'])
-def test_r11_given_a_word_of_taxinet_run_then_the_launch_file_takes_it_as_perception(
-    word, tmp_path, monkeypatch
+FUNCTION = {'perception': 'own.py:look', 'controller': 'own.py:steer'}
+
+
+@pytest.mark.parametrize(('given', 'name', 'executable', 'parameters'), [
+    ({}, 'simulator', 'simulator', {}),  # what the parameter file says
+    ({'latency': 'perception=0.15'}, 'simulator', 'simulator', {'latency': 'perception=0.15'}),
+    ({'lockstep': 'false', 'real_time_factor': '0.5'}, 'simulator', 'simulator',
+     {'lockstep': False, 'real_time_factor': 0.5}),
+    ({'out': 'x'}, 'recorder', 'recorder', {'out': 'x', 'images': 'all'}),
+    ({'out': 'x'}, 'scenario_sampler', 'scenario_sampler', {
+        'out': 'x', 'program': 's_falsif', 'runs': 10, 'seed': 0, 'sampler': '', 'until': '',
+        'budget': 0.0, 'resume': False,
+    }),
+    ({'perception': 'truth'}, 'perception', 'ground_truth_perception', {}),
+    *(({'perception': word}, 'perception', 'taxinet_perception', {'weights': word})
+      for word in ('original', 'my.onnx', 'my.safetensors')),
+    (FUNCTION, 'perception', 'taxinet_perception', {'weights': 'own.py:look'}),
+    (FUNCTION, 'steering_controller', 'steering_controller', {'controller': 'own.py:steer'}),
+])
+def test_r11_given_words_then_a_node_is_started_with_these_parameters(
+    given, name, executable, parameters, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    Path('own.py').write_text('def look(image): return 0, 0\n')
-    seeing = planned(perception=word)['perception']
-    if word == 'truth':
-        assert (seeing.executable, seeing.parameters) == ('ground_truth_perception', {})
-    else:
-        assert seeing.executable == 'taxinet_perception'
-        assert seeing.parameters == {'weights': word}
+    Path('own.py').write_text('def look(image): return 0, 0\ndef steer(estimate): return 0, 5\n')
+    node = planned(**given)[name]
+    assert (node.executable, node.parameters) == (executable, parameters)
 
 
 def test_r11_given_nodes_of_somebody_s_own_then_they_are_awaited_or_started():
@@ -104,30 +114,12 @@ def test_r11_given_nodes_of_somebody_s_own_then_they_are_awaited_or_started():
         perception='cmd:env my_node --fast', controller='cmd:env mine', namespace='a/b'
     )
     rules = ['-r', '__ns:=/a/b', '-r', '/clock:=clock']
-    assert list(started['perception'].command) == [
-        'env', 'my_node', '--fast', '--ros-args', '-r', '__node:=perception', *rules,
-    ]
-    assert list(started['steering_controller'].command) == [
-        'env', 'mine', '--ros-args', '-r', '__node:=steering_controller', *rules,
-    ]
-
-
-def test_given_words_on_timing_then_the_simulator_has_them_and_else_what_the_parameter_file_says():
-    assert planned()['simulator'].parameters == {}
-    assert planned(latency='perception=0.15')['simulator'].parameters == {
-        'latency': 'perception=0.15',
-    }
-    assert planned(lockstep='false', real_time_factor='0.5')['simulator'].parameters == {
-        'lockstep': False, 'real_time_factor': 0.5,
-    }
-
-
-def test_r11_given_a_function_as_controller_then_the_shipped_node_runs_it(tmp_path):
-    file = tmp_path / 'own.py'
-    file.write_text('def steer(estimate): return 0, 5\n')
-    node = planned(controller=f'{file}:steer')['steering_controller']
-    assert node.executable == 'steering_controller'
-    assert node.parameters == {'controller': f'{file}:steer'}
+    for name, words in (
+        ('perception', ['env', 'my_node', '--fast']), ('steering_controller', ['env', 'mine']),
+    ):
+        assert list(started[name].command) == [
+            *words, '--ros-args', '-r', f'__node:={name}', *rules,
+        ]
 
 
 @pytest.mark.parametrize(

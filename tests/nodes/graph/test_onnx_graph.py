@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import onnx
 import pytest
+from graph_runs import judged_in, request
 from onnx import TensorProto, helper, numpy_helper
 
 from taxinet_ros.bag.run.recording import open_recording
@@ -13,10 +14,7 @@ from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
-from taxinet_ros.nodes.interface import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
@@ -50,22 +48,9 @@ def test_given_an_onnx_network_when_run_in_the_graph_then_its_trace_is_the_loops
     perception = make_perception(str(path))
     steps: list[Step] = []
     run_closed_loop(SCENE, perception, specs=[parse_spec('phi_always')], on_step=steps.append)
-    request = RunRequest(
-        run_id='run-0', index=0, program='test', seed=1, scenario=SCENE,
-        judging=Judging(specs=('phi_always',)),
-        participants=PARTICIPANTS,
-    )
-    results: list[RunResult] = []
-
-    def keep(_: RunRequest, result: RunResult) -> bool:
-        results.append(result)
-        return True
-
-    with composed_graph(GraphOptions(perception=str(path), out=tmp_path / 'bags')) as graph:
-        graph.run([request], keep)
-    assert len(results) == 1
-    assert results[0].outcome.judged, results[0]
-    assert (results[0].perception, results[0].fingerprint) == ('onnx', perception.fingerprint)
+    graph = composed_graph(GraphOptions(perception=str(path), out=tmp_path / 'bags'))
+    (result,) = judged_in(graph, request('run-0', scenario=SCENE))
+    assert (result.perception, result.fingerprint) == ('onnx', perception.fingerprint)
     trace = open_recording(tmp_path / 'bags' / 'run-0').columns
     expected = np.array([[s.estimate.cte_m, s.estimate.he_rad] for s in steps])
     assert expected.shape == (11, 2)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 
 import pytest
+from graph_runs import judged_in, run_in
 from plugins import lay_down
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.main import main
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
@@ -45,10 +46,7 @@ def test_given_a_world_of_a_package_when_a_graph_runs_in_it_then_its_bag_tells_a
         options = GraphOptions(
             perception='truth', out=tmp_path, images='none', world='light',
         )
-        results: list[RunResult] = []
-        with composed_graph(options) as graph:
-            graph.run([short_request], lambda _, result: results.append(result) or True)
-        assert results[0].outcome.judged, results[0]
+        judged_in(composed_graph(options), short_request)
         bag = tmp_path / short_request.run_id
         told = open_recording(bag).run
         assert (told.world, len(told.world_fingerprint)) == ('light', 64)
@@ -88,10 +86,7 @@ def test_given_a_world_without_pictures_when_a_network_is_to_see_then_the_run_sa
     monkeypatch.syspath_prepend(str(site))
     lay_down(site, 'blind-world', BLIND, worlds='blind = Blind')
     options = GraphOptions(perception=perception, out=tmp_path, images=images, world='blind')
-    results: list[RunResult] = []
-    with composed_graph(options) as graph:
-        graph.run([short_request], lambda _, result: results.append(result) or True)
-    (found,) = results
+    (found,) = run_in(composed_graph(options), short_request)
     assert found.outcome.judged is not bool(blamed)
     detail = f'the world has no picture, which {blamed} needs'
     assert (found.kind, found.detail) == (('sim', detail) if blamed else ('', ''))

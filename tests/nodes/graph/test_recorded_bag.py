@@ -8,6 +8,7 @@ import threading
 
 import pytest
 from campaign_records import write_campaign
+from graph_runs import request, run
 from waiting import wait_for
 
 from taxinet_ros.bag.check.doctor import check_bag
@@ -29,35 +30,18 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     VERDICT,
 )
-from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.nodes.interface import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
 PROGRAM = 'ego = new Plane  # the whole program\n'
 
 
-def request(run_id: str, duration: float) -> RunRequest:
-    return RunRequest(
-        run_id=run_id, index=0, program='mine', seed=0,
-        scenario=scenario_from_human({'duration': duration, 'cross_track': 2}),
-        judging=Judging(specs=('on_runway',)), participants=PARTICIPANTS,
-    )
-
-
-def run(graph, *asked: RunRequest) -> list[RunResult]:
-    results: list[RunResult] = []
-
-    def keep(request: RunRequest, result: RunResult) -> bool:
-        results.append(result)
-        return True
-
-    graph.run(asked, keep)
-    return results
+def short(run_id: str, duration: float) -> RunRequest:
+    return request(run_id, duration, program='mine', judging=Judging(specs=('on_runway',)))
 
 
 def wrong(bag) -> dict[str, list[str]]:
@@ -95,7 +79,7 @@ def test_given_a_disk_that_fills_up_then_that_run_is_a_broken_bag_and_the_next_i
 
     monkeypatch.setattr(os, 'fstatvfs', disk)
     with composed_graph(GraphOptions(perception='truth', out=tmp_path, images='none')) as graph:
-        full, after = run(graph, request('full', 30.0), request('after', 1.0))
+        full, after = run(graph, short('full', 30.0), short('after', 1.0))
     assert (full.outcome, full.kind, full.who) == (
         Outcome.INFRA_ERROR, 'bag', interface.RECORDER
     )
@@ -121,7 +105,7 @@ def test_given_a_recorder_killed_in_a_graph_of_processes_then_whole_steps_stay(t
             os.kill(victim.process.pid, signal.SIGKILL)
 
         threading.Thread(target=kill_once_recorded, daemon=True).start()
-        (result,) = run(graph, request('run', 600.0))
+        (result,) = run(graph, short('run', 600.0))
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'died')
     outcome = recover(tmp_path / 'run', tmp_path / 'saved')
     counts = outcome.bag.message_counts
@@ -130,7 +114,7 @@ def test_given_a_recorder_killed_in_a_graph_of_processes_then_whole_steps_stay(t
     whole = min(n for name, n in counts.items() if name.strip('/') not in ONCE)
     assert steps - 1 <= whole <= steps
     assert wrong(tmp_path / 'saved') == {
-        'steps': ['0 messages, not 1; the bag ends before the run does'],
+        'lockstep': ['0 messages, not 1; the bag ends before the run does'],
     }
     facts = open_recording(tmp_path / 'saved').facts
     assert facts is not None

@@ -11,6 +11,7 @@ import jsbsim
 import numpy as np
 import pytest
 import yaml
+from graph_runs import judged_in
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 
@@ -51,14 +52,13 @@ def test_given_ones_own_aircraft_and_camera_when_a_graph_runs_then_its_bag_has_a
     tmp_path, scene, short_request
 ):
     # Runs of the usual ones before and after: cameras do not stay.
-    usual, results = Scenario(duration_s=0.2), []
+    usual = Scenario(duration_s=0.2)
     requests = [
         dataclasses.replace(short_request, run_id=f'run-{number}', scenario=one)
         for number, one in enumerate((usual, scene, usual))
     ]
-    with composed_graph(GraphOptions(perception='taxinet', out=tmp_path, images='all')) as graph:
-        graph.run(requests, lambda _, result: results.append(result) or True)
-    assert [result.outcome.judged for result in results] == [True] * 3, results
+    options = GraphOptions(perception='taxinet', out=tmp_path, images='all')
+    judged_in(composed_graph(options), *requests)
     bag = tmp_path / 'run-1'
     recording = open_recording(bag)
     assert recording.scenario == scene

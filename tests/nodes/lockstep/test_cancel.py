@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from graph_runs import request
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
@@ -64,16 +63,12 @@ def test_given_a_cancel_at_any_moment_then_what_is_cancelled_has_no_verdict(tmp_
     with composed_graph(options) as graph:
         client = Client(graph)
         for index, wait_s in enumerate([0.0, 2.0, *rng.uniform(0.0, 0.4, 23)]):
-            request = RunRequest(
-                run_id=f'r{index}', index=index, program='test', seed=0,
-                scenario=scenario_from_human({'cross_track': 1.0, 'duration': 0.5}),
-                judging=Judging(specs=('phi_always',)), participants=interface.PARTICIPANTS,
-            )
-            taken, ended = client.cancelled_after(request, wait_s)
+            asked = request(f'r{index}', 0.5)
+            taken, ended = client.cancelled_after(asked, wait_s)
             status = ended.result.status
             assert status.outcome in ENDS[ended.status]
             assert taken == (ended.status == GoalStatus.STATUS_CANCELED), (wait_s, status.outcome)
-            bag = tmp_path / request.run_id
+            bag = tmp_path / asked.run_id
             assert open_recording(bag).facts.outcome == status.outcome
             assert check_bag(bag).findings == ()
             taken_of[taken] += 1

@@ -3,8 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-import rclpy
-from rclpy.context import Context
+from graph_runs import on_own_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -13,8 +12,6 @@ from std_msgs.msg import String
 from taxinet_ros.core import topics
 from taxinet_ros.nodes.interface import LOCKSTEP, Topic
 from taxinet_ros.nodes.lockstep.endpoints import heard_by, hears
-from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
 
 TALK = Topic(
     name='t', type_name='std_msgs/msg/String', quality=topics.LOCKSTEP, publishers=('one',),
@@ -54,13 +51,11 @@ def test_given_an_outsider_then_a_topic_is_heard_when_the_named_node_is_matched(
 
 @pytest.mark.ros
 def test_given_real_nodes_then_both_ends_know_when_they_have_found_each_other():
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        executor = SingleThreadedExecutor(context=context)
+    with on_own_domain(SingleThreadedExecutor) as spinning:
+        executor, context = spinning.executor, spinning.context
         one, other, echo = (Node(name, context=context) for name in ('one', 'other', 'echo'))
         for node in (one, other, echo):
-            executor.add_node(node)
+            spinning.add(node)
         speaks = one.create_publisher(String, 't', LOCKSTEP)
         echo.create_subscription(String, 't', print, LOCKSTEP)
         while speaks.get_subscription_count() < 1:
@@ -70,7 +65,3 @@ def test_given_real_nodes_then_both_ends_know_when_they_have_found_each_other():
         while not (heard_by(one, speaks, {'other'}) and hears(other, listens, TALK, NODES)):
             executor.spin_once(timeout_sec=0.1)
         assert speaks.get_subscription_count() == 2
-        executor.shutdown()
-        for node in (one, other, echo):
-            leave_graph(node)
-        rclpy.shutdown(context=context)

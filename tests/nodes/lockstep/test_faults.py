@@ -1,16 +1,12 @@
 """Trouble in the graph ends the run as INFRA_ERROR naming who failed; the bag stays readable."""
 
-import contextlib
 import threading
 
 import pytest
+from graph_runs import request, run, steps_in
 from waiting import wait_for
 
-from taxinet_ros.bag.errors import BagTruncated
-from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -18,36 +14,6 @@ from taxinet_ros.nodes.lockstep import sampler
 from taxinet_ros.nodes.messages.convert import scenario_message
 
 pytestmark = pytest.mark.ros
-
-
-def request(run_id: str = 'run', duration: float = 60.0, **changes) -> RunRequest:
-    values = {
-        'run_id': run_id, 'index': 0, 'program': 'test', 'seed': 0,
-        'scenario': scenario_from_human({'duration': duration}),
-        'judging': Judging(specs=('phi_eventually',)), 'participants': PARTICIPANTS,
-    }
-    return RunRequest(**{**values, **changes})
-
-
-def run(graph, *asked: RunRequest) -> list[RunResult]:
-    results: list[RunResult] = []
-
-    def keep(request: RunRequest, result: RunResult) -> bool:
-        results.append(result)
-        return True
-
-    graph.run(asked, keep)
-    return results
-
-
-def truth_stamps(folder) -> list[int]:
-    """Stamps of the truth in a bag, which may be cut short where the recorder was killed."""
-    stamps = []
-    with contextlib.suppress(BagTruncated):
-        for name, _, stamp, _ in read_messages(folder):
-            if name == '/ground_truth/tracking_error':
-                stamps.append(stamp)
-    return stamps
 
 
 def node_of(graph, name):
@@ -130,9 +96,9 @@ def test_given_a_node_that_raises_mid_run_then_the_run_names_it_and_why(
     assert (result.kind, result.who) == ('node_error', who)
     assert 'lost the plot' in result.detail
     assert result.rho == {}
-    stamps = truth_stamps(tmp_path / 'run')
-    assert len(stamps) >= 19
-    assert stamps == sorted(stamps)
+    steps = steps_in(tmp_path / 'run')
+    assert len(steps) >= 19
+    assert steps == sorted(steps)
 
 
 def test_given_a_node_that_falls_silent_then_the_watchdog_names_it(tmp_path, monkeypatch):
@@ -149,7 +115,7 @@ def test_given_a_node_that_falls_silent_then_the_watchdog_names_it(tmp_path, mon
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'timeout')
     assert result.who == interface.STEERING_CONTROLLER
     assert result.last_seq == 15
-    assert len(truth_stamps(tmp_path / 'run')) == 16
+    assert len(steps_in(tmp_path / 'run')) == 16
 
 
 @pytest.mark.parametrize('who', PARTICIPANTS)

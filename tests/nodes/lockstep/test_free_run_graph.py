@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
+from graph_runs import request, run_in
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
@@ -16,7 +17,6 @@ from taxinet_ros.campaign.shrink.options import make_shrink_options
 from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
@@ -63,21 +63,16 @@ class Dying(Silent):
 STEPS = 101
 
 
-def request(**changes) -> RunRequest:
-    return RunRequest(**{
-        'run_id': 'free', 'index': 0, 'program': 'test', 'seed': 1,
+def asked(**changes) -> RunRequest:
+    return request('free', **{
         'scenario': Scenario(cross_track_m=2.0, duration_s=10.0),
-        'judging': Judging(specs=('phi_eventually',)),
-        'participants': PARTICIPANTS, **changes,
+        'judging': Judging(specs=('phi_eventually',)), **changes,
     })
 
 
-def run(opened, asked: RunRequest) -> RunResult:
-    results: list[RunResult] = []
-    with opened as graph:
-        graph.run([asked], lambda _, result: results.append(result) or True)
-    assert len(results) == 1
-    return results[0]
+def run(opened, one: RunRequest) -> RunResult:
+    (result,) = run_in(opened, one)
+    return result
 
 
 @pytest.fixture(scope='module')
@@ -99,7 +94,7 @@ def slow(mine, tmp_path_factory) -> tuple[RunResult, Path]:
     """A run at ten times real time with a perception that takes 25 steps for an answer."""
     out = tmp_path_factory.mktemp('slow')
     graph = process_graph(options(out, f'{mine}:Slow', '10'), out / 'logs')
-    return run(graph, request()), out / 'free'
+    return run(graph, asked()), out / 'free'
 
 
 def test_r5_given_a_slow_perception_then_what_it_does_not_answer_is_counted(slow):
@@ -132,7 +127,7 @@ def test_r5_given_the_bag_of_a_free_run_then_it_is_whole_and_can_be_driven_again
     _, bag = slow
     checked = check_bag(bag)
     assert checked.findings == ()
-    steps = next(check for check in checked.checks if check.name == 'steps')
+    steps = next(check for check in checked.checks if check.name == 'lockstep')
     assert 'a free run: ' in steps.looked_at
     # Compares each state with the recorded one, to the bit.
     assert len(list(open_recording(bag).observations())) == STEPS
@@ -165,8 +160,8 @@ def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and
     mine, tmp_path, name, kind, says
 ):
     graph = options(tmp_path, f'{mine}:{name}', '1', timeouts={'answer_timeout': 2.0})
-    asked = request(scenario=Scenario(duration_s=600.0))
-    result = run(process_graph(graph, tmp_path / 'logs'), asked)
+    one = asked(scenario=Scenario(duration_s=600.0))
+    result = run(process_graph(graph, tmp_path / 'logs'), one)
     assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, kind, 'perception')
     assert says in result.detail
     # The bag tells what there was: the commands of three frames, and all frames since.
@@ -177,16 +172,16 @@ def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and
 
 
 def test_r5_given_no_pace_then_it_goes_as_fast_as_it_can_and_nothing_is_lost(tmp_path):
-    asked = request(judging=Judging(specs=('phi_always', 'phi_eventually', 'on_runway')))
-    result = run(composed_graph(options(tmp_path, 'truth', 'max')), asked)
+    one = asked(judging=Judging(specs=('phi_always', 'phi_eventually', 'on_runway')))
+    result = run(composed_graph(options(tmp_path, 'truth', 'max')), one)
     assert result.outcome.judged, result
     assert result.free['overruns'] == 0
     assert check_bag(tmp_path / 'free').findings == ()
 
 
 def test_r5_given_a_free_graph_then_a_rule_to_stop_is_refused(tmp_path):
-    asked = request(judging=Judging(specs=('phi_eventually',), stop_on=StopOn.VIOLATED))
-    result = run(composed_graph(options(tmp_path, 'truth', '1')), asked)
+    one = asked(judging=Judging(specs=('phi_eventually',), stop_on=StopOn.VIOLATED))
+    result = run(composed_graph(options(tmp_path, 'truth', '1')), one)
     assert (result.outcome, result.detail) == (
         Outcome.REJECTED,
         'stop_on violated: not in a free run, which does not wait for the monitor',

@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import pytest
+from graph_runs import files, judged_in
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
@@ -25,22 +26,14 @@ pytestmark = pytest.mark.ros
 DRAWN = 'perception=normal(0.25,0.1) controller=uniform(0,0.1)'
 
 
-def run(opened, request: RunRequest) -> RunResult:
-    results: list[RunResult] = []
-    with opened as graph:
-        graph.run([request], lambda _, result: results.append(result) or True)
-    assert len(results) == 1
-    assert results[0].outcome.judged, results[0]
-    return results[0]
+def run(opened, asked: RunRequest) -> RunResult:
+    (result,) = judged_in(opened, asked)
+    return result
 
 
 def graph_of(out: Path, latency: str, **more) -> GraphOptions:
     timing = parse_latency([latency])
     return GraphOptions(perception='truth', out=out, images='none', timing=timing, **more)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
 def test_r5_given_0_3_s_then_the_aircraft_follows_estimates_exactly_three_steps_old(

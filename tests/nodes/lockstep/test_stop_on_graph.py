@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from graph_runs import files, request, run_in
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
@@ -17,7 +18,6 @@ from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.nodes.interface import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
@@ -28,27 +28,16 @@ GOOD = scenario_from_human({'cross_track': 0.5, 'heading': 0, 'duration': 5})
 
 def requests(stop_on: StopOn) -> list[RunRequest]:
     return [
-        RunRequest(
-            run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
-            participants=PARTICIPANTS, judging=Judging(specs=SPECS, stop_on=stop_on),
-        )
+        request(f'run-{index}', scenario=scene, judging=Judging(specs=SPECS, stop_on=stop_on))
         for index, scene in enumerate((LATE, GOOD))
     ]
-
-
-def run_graph(opened, asked):
-    results = []
-    with opened as graph:
-        graph.run(asked, lambda request, result: results.append(result) or True)
-    assert len(results) == len(asked)
-    return results
 
 
 def test_given_violated_when_run_in_three_layouts_then_the_last_step_is_the_same(tmp_path):
     asked = requests(StopOn.VIOLATED)
     options = [GraphOptions(perception='truth', out=tmp_path / name) for name in ('one', 'many')]
-    composed = run_graph(composed_graph(options[0]), asked)
-    run_graph(process_graph(options[1], tmp_path / 'logs'), asked)
+    composed = run_in(composed_graph(options[0]), *asked)
+    run_in(process_graph(options[1], tmp_path / 'logs'), *asked)
 
     late, good = composed
     steps = []
@@ -82,17 +71,14 @@ def test_given_violated_when_run_in_three_layouts_then_the_last_step_is_the_same
     assert (good.outcome, good.stopped_early, good.last_seq) == (Outcome.PASS, False, 50)
     assert set(good.rho) == {'soon', 'on_runway'}
     for run in ('run-0', 'run-1'):
-        one, many = (
-            {file.name: file.read_bytes() for file in (tmp_path / name / run).iterdir()}
-            for name in ('one', 'many')
-        )
+        one, many = (files(tmp_path / name / run) for name in ('one', 'many'))
         assert len(one) == 2
         assert one == many, 'the bags differ in bytes'
 
 
 def test_given_decided_when_a_run_ends_then_every_formula_is_decided_or_the_run_is_whole(tmp_path):
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
-    late, good = run_graph(composed_graph(options), requests(StopOn.DECIDED))
+    late, good = run_in(composed_graph(options), *requests(StopOn.DECIDED))
     assert (late.stopped_early, late.last_seq) == (False, 50), 'on_runway is open to the end'
     assert set(late.rho) == {'soon', 'on_runway'}
     assert late.outcome is Outcome.FAIL
@@ -109,7 +95,7 @@ def test_given_rates_that_the_user_vouches_for_then_it_is_decided_earlier_as_wit
         specs=specs, rates=('cte=0.001',), bounds=('cte=-20:20',),
     ))]
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
-    kept, broken = run_graph(composed_graph(options), asked)
+    kept, broken = run_in(composed_graph(options), *asked)
 
     steps = []
     judgement = run_closed_loop(
@@ -123,11 +109,11 @@ def test_given_rates_that_the_user_vouches_for_then_it_is_decided_earlier_as_wit
     assert (broken.outcome, broken.stopped_early, broken.last_seq) == (Outcome.PASS, False, 50)
     assert broken.rho['wide'] > 0, 'the run goes on without what it has broken'
 
-    for request, early in zip(asked, (True, False), strict=True):
-        (judged,) = judge_runs(tmp_path / request.run_id)
+    for one, early in zip(asked, (True, False), strict=True):
+        (judged,) = judge_runs(tmp_path / one.run_id)
         assert judged.stopped_early is early
         assert judged.verdicts[0].same is True
         assert (judged.verdicts[0].breach_s is None) is early
-        assert check_bag(tmp_path / request.run_id).findings == ()
+        assert check_bag(tmp_path / one.run_id).findings == ()
     (other,) = judge_runs(tmp_path / 'run-1', assumptions=Assumptions())
     assert other.verdicts[0].same is None, 'an open interval is another one without the rates'

@@ -3,9 +3,11 @@
 Messages of a control step are put together in whatever order they arrive.
 """
 
+import sys
 from functools import cache
 
-from builtin_interfaces.msg import Time
+import numpy as np
+import pytest
 from geometry_msgs.msg import Point, Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,8 +16,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 from taxinet_msgs import msg as taxinet
+from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.bag.cdr.alignment import Canonical
+from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.run.message_values import command_of, error_of
 from taxinet_ros.bag.run.messages import (
     camera_info_cdr,
@@ -31,14 +35,22 @@ from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec, Verdict
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, quaternion
+from taxinet_ros.errors import InfraError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.lockstep.active_run import check_answer
 from taxinet_ros.nodes.messages import convert
-from taxinet_ros.nodes.messages.step import StepCollector
+from taxinet_ros.nodes.messages.step import (
+    Motion,
+    StepCollector,
+    StepMessage,
+    step_reader,
+    subnormal,
+)
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
 NUMBERS = st.integers(0, 2**32 - 1)
-WORDS = st.text('aβ_-', max_size=9)
+WORDS = st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=20)
 ERRORS = st.builds(TrackingError, cte_m=st.floats(), he_rad=st.floats(), valid=st.booleans())
 COMMANDS = st.builds(TaxiCommand, steering_rad=FINITE, speed_mps=FINITE)
 ANGLES = st.floats(-3.0, 3.0)
@@ -83,7 +95,10 @@ def test_given_a_state_then_odometry_says_pose_in_map_and_speed_in_base_link(sta
     message.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
     message.twist.twist.linear.x = state.speed_mps
     message.twist.twist.angular.z = state.yaw_rate_radps
-    assert odometry_cdr(state, stamp_ns) == serialised(interface.ODOMETRY, message)
+    cdr = odometry_cdr(state, stamp_ns)
+    assert cdr == serialised(interface.ODOMETRY, message)
+    motion = Motion(state.x_m, state.y_m, (x, y, z, w), state.speed_mps)
+    assert step_reader(interface.ODOMETRY)(cdr) == StepMessage(stamp_ns, motion)
 
 
 @given(ERRORS, WORDS, NUMBERS, STAMPS)
@@ -92,7 +107,13 @@ def test_given_a_tracking_error_then_ros_makes_the_same_bytes_of_it(error, run_i
         header=convert.header(stamp_ns, 'map'), run_id=run_id, seq=seq,
         cross_track_error=error.cte_m, heading_error=error.he_rad, valid=error.valid,
     )
-    assert error_cdr(error, run_id, seq, stamp_ns) == serialised(interface.ESTIMATE, message)
+    cdr = error_cdr(error, run_id, seq, stamp_ns)
+    assert cdr == serialised(interface.ESTIMATE, message)
+    for topic in (interface.TRUTH, interface.ESTIMATE):
+        said = step_reader(topic)(cdr)
+        # By their words, as NaN equals nothing.
+        assert repr(said) == repr(StepMessage(stamp_ns, error, run_id, seq))
+    assert not error.usable or error_of(message) == error
 
 
 @given(COMMANDS, WORDS, NUMBERS, STAMPS)
@@ -101,7 +122,10 @@ def test_given_a_command_then_ros_makes_the_same_bytes_of_it(command, run_id, se
         header=convert.header(stamp_ns, 'base_link'), run_id=run_id, seq=seq,
         steering_angle=command.steering_rad, speed=command.speed_mps,
     )
-    assert command_cdr(command, run_id, seq, stamp_ns) == serialised(interface.COMMAND, message)
+    cdr = command_cdr(command, run_id, seq, stamp_ns)
+    assert cdr == serialised(interface.COMMAND, message)
+    assert step_reader(interface.COMMAND)(cdr) == StepMessage(stamp_ns, command, run_id, seq)
+    assert command_of(message) == command
 
 
 @given(SPECS, READINGS, WORDS, NUMBERS, STAMPS)
@@ -123,6 +147,8 @@ def test_given_progress_then_ros_makes_the_same_bytes_of_it(
     )
     written = progress_cdr(node, implementation, fingerprint, run_id, seq, stamp_ns)
     assert written == serialised(interface.PROGRESS, message)
+    said = step_reader(interface.PROGRESS)(written)
+    assert said == StepMessage(stamp_ns, node, run_id, seq)
 
 
 def test_given_runs_in_turns_then_each_message_is_of_its_own_run_and_formula():
@@ -137,15 +163,39 @@ def test_given_runs_in_turns_then_each_message_is_of_its_own_run_and_formula():
             assert (read.run_id, read.spec, read.formula) == (run_id, spec.name, spec.text)
 
 
-@given(ERRORS.filter(lambda error: error.usable), COMMANDS)
-def test_given_what_is_said_when_read_then_every_bit_is_there(error, command):
-    told = deserialize_message(error_cdr(error, 'run', 7, 700_000_000), taxinet.TrackingError)
-    assert error_of(told) == error
-    done = deserialize_message(command_cdr(command, 'run', 7, 700_000_000), taxinet.TaxiCommand)
-    assert command_of(done) == command
-    for message in (told, done):
-        assert (message.run_id, message.seq) == ('run', 7)
-        assert message.header.stamp == Time(sec=0, nanosec=700_000_000)
+@pytest.mark.parametrize('number', [
+    5, True, np.int64(5), np.float32(5.0), np.array(5.0), np.array([5.0]), '5',
+], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize('topic', [interface.ESTIMATE, interface.COMMAND], ids=lambda one: one.name)
+def test_a_number_of_a_wrong_python_type_ends_the_run_and_names_the_cause(topic, number):
+    message = topic.type()
+    message._check_fields = False  # as in a node that somebody starts without the check
+    if topic is interface.ESTIMATE:
+        message.valid, message.heading_error = True, number
+    else:
+        message.speed = number
+    answer = step_reader(topic)(serialize_message(message))
+    with pytest.raises(InfraError, match='subnormal, an int or array in a float field') as refused:
+        check_answer(answer, 'somebody', 0)
+    assert (refused.value.kind, refused.value.who) == ('protocol', 'somebody')
+
+
+@pytest.mark.parametrize('number', [0.0, -0.0, sys.float_info.min, 1e-300, -5.0])
+def test_a_small_number_that_is_not_subnormal_is_an_answer(number):
+    assert not subnormal(TaxiCommand(steering_rad=number, speed_mps=5.0))
+    assert not subnormal(TrackingError(cte_m=number, he_rad=0.0))
+    assert not subnormal(TrackingError(cte_m=5e-324, he_rad=0.0, valid=False))
+
+
+@given(st.binary(max_size=30))
+def test_given_bytes_that_are_no_message_then_one_typed_error_names_the_topic(noise):
+    with pytest.raises(BagCorrupt, match=interface.COMMAND.name):
+        step_reader(interface.COMMAND)(noise)
+
+
+def test_given_a_topic_of_few_messages_then_its_messages_stay_as_they_are():
+    status = NodeStatus(node='perception')
+    assert step_reader(interface.NODE_STATUS)(status) is status
 
 
 EXPECTED = {'image': 1, 'truth': 1, 'robustness': 2}

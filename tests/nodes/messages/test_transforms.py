@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from bag_edits import GOLDEN, altered, unaltered
 from geometry_msgs.msg import TransformStamped
+from graph_runs import on_own_domain, spin
 from nav_msgs.msg import Odometry
-from playing import listening, make_player, playing, spin
-from rclpy.context import Context
+from playing import listening, make_player, playing
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
@@ -37,8 +36,6 @@ from taxinet_ros.core.place.markings import markings
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.nodes.running.leave import leave_graph
 from taxinet_ros.nodes.simulator import Simulator
 
 GENUINE_HASH = 'RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087'
@@ -228,15 +225,10 @@ def test_ros21_given_a_bag_that_is_played_then_whoever_asks_hears_where_the_fram
 
 @pytest.mark.ros
 def test_ros21_given_a_namespace_then_the_frames_are_in_it_and_the_diagnostics_are_everybodys():
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        try:
-            node = Simulator(context=context, namespace='/left')
-            names = {publisher.topic_name for publisher in node.publishers}
-            leave_graph(node)
-        finally:
-            rclpy.try_shutdown(context=context)
+    with on_own_domain() as spinning:
+        node = Simulator(context=spinning.context, namespace='/left')
+        spinning.add(node)
+        names = {publisher.topic_name for publisher in node.publishers}
     assert names >= {'/left/tf', '/left/tf_static', '/diagnostics'}
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import math
 import multiprocessing
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 
@@ -17,7 +16,6 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.bag.run.messages import observation_messages
 from taxinet_ros.cli.run.check_node import run_check
@@ -27,9 +25,25 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.node_check.clauses import CLAUSES, Finding, Status, judge
-from taxinet_ros.nodes.node_check.driver import CheckOptions, check_node, command_starter
-from taxinet_ros.nodes.node_check.record import ROLES, SIDES, Answer, End, Question, Record, Run
+from taxinet_ros.nodes.messages.step import StepMessage
+from taxinet_ros.nodes.node_check import (
+    CLAUSES,
+    ROLES,
+    SIDES,
+    CheckOptions,
+    End,
+    Finding,
+    Question,
+    Run,
+    Status,
+    accuracy,
+    bad_value,
+    check_node,
+    command_starter,
+    difference,
+    steering,
+    topics_broken,
+)
 
 HERE = Path(__file__).parent
 WRONG = str(HERE / 'wrong_node.py')
@@ -55,28 +69,30 @@ FAULTS = {
     'seq,twice,traceback': ('controller', {'step', 'answers', 'ends'}, PATIENT_S),
     'remembers,unusable,leaves': ('controller', {'forgets', 'bad_input', 'ends'}, PATIENT_S),
     'nan,deaf': ('controller', {'values', 'ends'}, PATIENT_S),
+    'int': ('controller', {'values', 'lives'}, PATIENT_S),
     'strange_image': ('perception', {'bad_input'}, PATIENT_S),
+    'dies_later': ('perception', {'bad_input'}, PATIENT_S),
     ODD: ('controller', {'forgets'}, PATIENT_S),
 }
 
 
-def check(words: list[str], role: str | None, patience_s: float) -> tuple[list[Finding], str]:
+def check(words: list[str], role: str | None, patience_s: float) -> tuple[dict[str, Finding], str]:
     """What became of a node, and what it printed."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / 'node.log'
         log.touch()
-        record = check_node(CheckOptions(
+        report = check_node(CheckOptions(
             start=command_starter([sys.executable, *words]), role=role, domain=None, frames=8,
             patience_s=patience_s, log=log,
         ), print)
-        return judge(record), log.read_text()
+        return {one.clause.name: one for one in report.findings}, log.read_text()
 
 
 @pytest.fixture(scope='module')
-def checks() -> Iterator[dict[str, Future[tuple[list[Finding], str]]]]:
+def checks() -> Iterator[dict[str, Future[tuple[dict[str, Finding], str]]]]:
     """All checks, several at once, since each mostly waits."""
     server = multiprocessing.get_context('forkserver')
-    server.set_forkserver_preload(['taxinet_ros.nodes.node_check.driver'])
+    server.set_forkserver_preload(['taxinet_ros.nodes.node_check'])
     with ProcessPoolExecutor(AT_ONCE, mp_context=server) as pool:
         yield {
             **{role: pool.submit(check, words, None, PATIENT_S) for role, words in KEPT.items()},
@@ -87,48 +103,47 @@ def checks() -> Iterator[dict[str, Future[tuple[list[Finding], str]]]]:
         }
 
 
-def by_clause(findings: list[Finding]) -> dict[str, Finding]:
-    return {one.clause.name: one for one in findings}
-
-
-def broken(found: dict[str, Finding]) -> set[str]:
-    return {name for name, one in found.items() if one.status is Status.FAIL}
-
-
 @pytest.mark.parametrize('role', KEPT)
 def test_given_an_example_then_it_keeps_every_clause(role, checks):
-    findings, printed = checks[role].result()
-    assert by_clause(findings)['starts'].came == f'/{ROLES[role].node}'
-    assert {one.status for one in findings} == {Status.PASS, Status.NOTE}, findings
+    found, printed = checks[role].result()
+    assert found['starts'].came == f'/{ROLES[role].node}'
+    assert found.keys() == {one.name for one in CLAUSES if role in one.roles}
+    assert {one.status for one in found.values()} == {Status.PASS, Status.NOTE}, found
     assert printed == ''
 
 
 @pytest.mark.parametrize('faults', FAULTS)
 def test_given_faults_then_their_clauses_fail_and_no_others(faults, checks):
-    found = by_clause(checks[faults].result()[0])
-    assert broken(found) == FAULTS[faults][1], found
+    found, _ = checks[faults].result()
+    broken = {name for name, one in found.items() if one.status is Status.FAIL}
+    assert broken == FAULTS[faults][1], found
+    if broken == {'starts'}:
+        assert {one.came for name, one in found.items() if name not in broken} == {
+            'fix starts first'
+        }
+    if 'values' in broken:
+        assert {found[name].status for name in ('forgets', 'bad_input', 'steering')} == {
+            Status.NOT_TRIED
+        }
 
 
 def test_given_a_slow_random_node_that_steers_away_then_it_is_told(checks):
-    found = by_clause(checks[ODD].result()[0])
+    found, _ = checks[ODD].result()
     assert 'unseeded' in found['forgets'].came
     assert 'slower than real time' in found['time'].came
     assert 'AWAY' in found['steering'].came
     assert 'radians?' in found['steering'].came
 
 
-def judged(role: str, answer: Callable[[TrackingError], TrackingError | TaxiCommand]) -> Record:
-    """A record of one run in which a node answered so."""
-    run = Run(run_id='r', kind='first')
-    for seq, (cte_m, he_rad) in enumerate([*SIDES, (5.0, 0.1), (-5.0, -0.1)]):
-        truth = TrackingError(cte_m=cte_m, he_rad=he_rad)
-        question = Question(seq=seq, truth=truth)
-        said = Answer(
-            seq=seq, stamp_ns=question.stamp_ns, run_id='r', value=answer(truth), after_s=0.01
-        )
-        question.answers.append(said)
-        run.questions.append(question)
-    return Record(role=ROLES[role], runs=[run])
+def test_what_a_node_died_of_is_told(checks):
+    assert checks['dies_later'].result()[0]['bad_input'].came == 'mono8: exit code 7'
+    assert "The 'speed' field must be of type 'float'" in checks['int'].result()[0]['values'].came
+
+
+PLACES = [
+    TrackingError(cte_m=cte_m, he_rad=he_rad)
+    for cte_m, he_rad in (*SIDES, (5.0, 0.1), (-5.0, -0.1))
+]
 
 
 @pytest.mark.parametrize(('cte', 'he', 'says'), [
@@ -139,48 +154,37 @@ def judged(role: str, answer: Callable[[TrackingError], TrackingError | TaxiComm
     (0.0, 1.0, 'CTE is always the same'),
 ])
 def test_given_estimates_with_a_usual_mistake_then_it_is_named(cte, he, says):
-    record = judged('perception', lambda truth: TrackingError(
-        cte_m=cte * truth.cte_m, he_rad=he * truth.he_rad
-    ))
-    found = by_clause(judge(record))['accuracy'].came
+    found = accuracy([
+        (truth, TrackingError(cte_m=cte * truth.cte_m, he_rad=he * truth.he_rad))
+        for truth in PLACES
+    ])
     assert says in found
     assert found.count('looks') == (1 if 'looks' in says else 0)
 
 
-@pytest.mark.parametrize(('role', 'answer'), [
-    ('controller', TaxiCommand(steering_rad=1.6e-314, speed_mps=5.0)),
-    ('controller', TaxiCommand(steering_rad=0.1, speed_mps=5e-324)),
-    ('perception', TrackingError(cte_m=-4.6e-310, he_rad=0.0)),
+@pytest.mark.parametrize('value', [
+    TaxiCommand(steering_rad=1.6e-314, speed_mps=5.0),
+    TaxiCommand(steering_rad=0.1, speed_mps=5e-324),
+    TrackingError(cte_m=-4.6e-310, he_rad=0.0),
 ])
-def test_subnormal_numbers_break_the_clause_of_values_and_nothing_is_said_of_them(role, answer):
-    found = by_clause(judge(judged(role, lambda truth: answer)))
-    assert found['values'].status is Status.FAIL
-    assert 'subnormal, an int or array in a float field?' in found['values'].came
-    assert 'float(x)' in found['values'].clause.mend
-    told = {'perception': 'accuracy', 'controller': 'steering'}[role]
-    assert found[told].status is Status.NOT_TRIED
-
-
-def test_a_node_that_dies_of_a_wrong_type_breaks_the_clause_of_values():
-    died = "exit code 1: AssertionError: The 'speed' field must be of type 'float'"
-    record = judged('controller', lambda truth: TaxiCommand(steering_rad=0.0, speed_mps=1.0))
-    found = by_clause(judge(dataclasses.replace(record, died=died, died_in='first')))
-    assert (found['values'].status, found['values'].came) == (Status.FAIL, died)
+def test_subnormal_numbers_are_a_bad_value(value):
+    assert 'subnormal, an int or array in a float field?' in bad_value(value)
 
 
 def test_an_estimate_far_away_has_an_error_of_few_digits():
-    record = judged('perception', lambda truth: TrackingError(cte_m=1e300, he_rad=0.0))
-    assert 'CTE 1e+300 m' in by_clause(judge(record))['accuracy'].came
+    far = TrackingError(cte_m=1e300, he_rad=0.0)
+    assert 'CTE 1e+300 m' in accuracy([(truth, far) for truth in PLACES])
 
 
 def test_answers_that_differ_in_the_last_digit_are_shown_with_their_difference():
-    records = [judged('controller', lambda truth, speed_mps=speed_mps: TaxiCommand(
-        steering_rad=0.0, speed_mps=speed_mps
-    )) for speed_mps in (5.0, math.nextafter(5.0, 6.0))]
-    runs = [dataclasses.replace(record.runs[0], kind=kind)
-            for record, kind in zip(records, ('first', 'second'), strict=True)]
-    came = by_clause(judge(dataclasses.replace(records[0], runs=runs)))['forgets'].came
-    assert came == 'frame 0: (0, 5), then (0, 5.0000000000000009)'
+    first, second = (
+        Run(run_id='r', kind='first', questions=[Question(
+            seq=0, truth=PLACES[0],
+            answers=[StepMessage(0, TaxiCommand(steering_rad=0.0, speed_mps=speed_mps))],
+        )]) for speed_mps in (5.0, math.nextafter(5.0, 6.0))
+    )
+    assert difference(first, first) == ''
+    assert difference(first, second) == 'frame 0: (0, 5), then (0, 5.0000000000000009)'
 
 
 @pytest.mark.parametrize(('gain', 'says'), [
@@ -189,17 +193,18 @@ def test_answers_that_differ_in_the_last_digit_are_shown_with_their_difference()
     (0.0, 'it does not steer'),
 ])
 def test_given_commands_then_it_is_told_to_which_side_they_steer(gain, says):
-    record = judged('controller', lambda truth: TaxiCommand(
-        steering_rad=gain * (truth.cte_m + 10 * truth.he_rad), speed_mps=4.0
-    ))
-    assert says in by_clause(judge(record))['steering'].came
+    assert says in steering([
+        (truth, TaxiCommand(
+            steering_rad=gain * (truth.cte_m + 10 * truth.he_rad), speed_mps=4.0
+        )) for truth in PLACES
+    ])
 
 
 @pytest.mark.parametrize(('more', 'says'), [
-    ([], ''),
-    ([('steering_controller', interface.COMMAND)], 'publishes taxi_command 2 times'),
-    ([('helper', interface.COMMAND)], 'helper publishes taxi_command'),
-    ([('steering_controller', interface.PROGRESS)], 'publishes lockstep/progress'),
+    ([], []),
+    ([('steering_controller', interface.COMMAND)], ['publishes taxi_command 2 times']),
+    ([('helper', interface.COMMAND)], ['helper publishes taxi_command']),
+    ([('steering_controller', interface.PROGRESS)], ['publishes lockstep/progress']),
 ])
 def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
     name = 'steering_controller'
@@ -210,12 +215,7 @@ def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
             node=node, topic=topic, publishes=publishes, type_name=topic.type_name, qos=topic.qos
         ) for publishes, of in ((True, spoken), (False, heard)) for node, topic in of
     ]
-    record = Record(role=ROLES['controller'], nodes=[f'/{name}'], ends=ends)
-    found = by_clause(judge(record))['topics']
-    assert (found.status, found.came) == (
-        (Status.FAIL, says) if says
-        else (Status.PASS, 'hears perception/tracking_error, scenario')
-    )
+    assert topics_broken(ROLES['controller'], ends) == says
 
 
 @pytest.mark.parametrize(('topic', 'publishes', 'qos', 'says'), [
@@ -256,58 +256,6 @@ def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, capf
         )
     assert 'exit code 3: out of paint' in capfd.readouterr().out
     assert (tmp_path / 'node.log').read_text() == 'out of paint\n'
-
-
-def whole_record(role: str) -> Record:
-    """Of a node that has kept everything, as far as runs tell."""
-    runs = []
-    strange = 3 if role == 'perception' else 1
-    for kind in ('first', 'second', *['strange'] * strange, 'after', 'fresh'):
-        run = judged(role, lambda truth: truth if role == 'perception' else TaxiCommand(
-            steering_rad=0.0, speed_mps=1.0
-        )).runs[0]
-        ready = [NodeStatus(node=ROLES[role].node, implementation='x', state=NodeStatus.READY)]
-        runs.append(dataclasses.replace(run, kind=kind, ready=ready, questions=[
-            dataclasses.replace(one, kind='empty' if kind == 'strange' else '')
-            for one in run.questions
-        ]))
-    name = ROLES[role].node
-    ends = [
-        End(
-            node=name, topic=topic, publishes=False, type_name=topic.type_name, qos=topic.qos
-        ) for topic in ROLES[role].hears[:1]
-    ]
-    return Record(role=ROLES[role], nodes=[f'/{name}'], runs=runs, ends=ends)
-
-
-@pytest.mark.parametrize('role', ROLES)
-@pytest.mark.parametrize('count', range(8))
-def test_given_a_node_that_dies_at_any_place_then_it_is_judged_and_told(role, count):
-    record = whole_record(role)
-    runs = record.runs[:count]
-    if runs:
-        runs[-1].ready, runs[-1].questions = [], []
-    kind = runs[-1].kind if runs else ''
-    fails = broken(by_clause(judge(
-        dataclasses.replace(record, runs=runs, died='exit code 7', died_in=kind)
-    )))
-    told = 'starts' if not runs else 'bad_input' if kind == 'after' else 'lives'
-    if kind != 'strange':
-        assert told in fails
-
-
-def test_given_a_node_that_dies_of_a_strange_image_then_the_image_is_told():
-    record = whole_record('perception')
-    del record.runs[-2:]
-    record.runs[-1].questions[-1].answers.clear()
-    record.died, record.died_in = 'exit code 7', 'strange'
-    assert broken(by_clause(judge(record))) >= {'bad_input'}
-
-
-def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():
-    findings = judge(Record(role=ROLES['perception']))
-    assert [one.clause.name for one in findings if one.status is Status.FAIL] == ['starts']
-    assert {one.came for one in findings[1:]} == {'fix starts first'}
 
 
 def test_given_the_docs_then_they_have_each_clause_with_these_words():

@@ -61,6 +61,8 @@ class Answers:
             command.steering_angle *= -57.3
         if 'remembers' in FAULTS:
             command.speed += self.count / 100
+        if 'int' in FAULTS:
+            command.speed = 5
         if 'random' in FAULTS:
             command.speed += random.random()
 
@@ -71,7 +73,7 @@ class Wrong(EXAMPLE[ROLE]):
         name = 'estimates' if ROLE == 'perception' else 'commands'
         self.answers = Answers(getattr(self, name))
         setattr(self, name, self.answers)
-        self.begun = 0
+        self.begun, self.hurt = 0, False
         if 'topics' in FAULTS:
             self.create_publisher(Scenario, 'scenario', own_controller.LATCHED)
 
@@ -89,7 +91,7 @@ class Wrong(EXAMPLE[ROLE]):
 
     def begin(self, scenario):
         self.begun += 1
-        if 'dies_at_2' in FAULTS and self.begun == 2:
+        if ('dies_at_2' in FAULTS and self.begun == 2) or self.hurt:
             os._exit(7)
         if 'remembers' not in FAULTS:
             self.answers.count = 0
@@ -101,6 +103,7 @@ class Wrong(EXAMPLE[ROLE]):
     def see(self, image):
         if 'strange_image' in FAULTS and image.encoding == 'mono8':
             raise SystemExit('no colours')
+        self.hurt = 'dies_later' in FAULTS and image.encoding == 'mono8'
         super().see(image)
 
 

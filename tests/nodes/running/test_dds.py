@@ -12,27 +12,20 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-import rclpy
-from rclpy.context import Context
+from graph_runs import on_own_domain
 from rclpy.node import Node
 
 import taxinet_ros.nodes
 from taxinet_ros.nodes.running import domain
 from taxinet_ros.nodes.running.domain import in_use, own_domain, refuse_neighbours
-from taxinet_ros.nodes.running.leave import leave_graph
 
 
 def test_given_a_domain_then_its_ports_tell_whether_a_node_is_there():
     with own_domain() as number:
         assert not in_use(number)
-        context = Context()
-        rclpy.init(context=context, domain_id=number)
-        node = Node('somebody', context=context)
-        try:
+        with on_own_domain(domain=number) as spinning:
+            spinning.add(Node('somebody', context=spinning.context))
             assert in_use(number)
-        finally:
-            leave_graph(node)
-            rclpy.try_shutdown(context=context)
 
 
 def test_given_nobody_there_then_only_who_may_be_on_other_machines_is_looked_for(monkeypatch):

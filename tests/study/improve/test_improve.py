@@ -1,29 +1,20 @@
 """The loop of ``taxinet improve``, with stages that leave behind what theirs would, in no time."""
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
 from network_samples import card_of, random_weights, save_sample
+from recorded_runs import record_runs
 
-from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.sealed_json import sealed_text, write_sealed
-from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, Improvement, RoundLedger
-from taxinet_ros.study.improve.options import (
-    FALSIFY,
-    JUDGE,
-    TRAIN,
-    ImproveOptions,
-    read_options,
-    write_options,
-)
-from taxinet_ros.study.stages.log import StageLog
+from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.study.improve.loop import BEST, Improvement
+from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
 
 RUNS = 40
 
@@ -41,7 +32,7 @@ class Bench:
             if stage.name == self.stop_at:
                 return 130
             assert stage.ready(self.out), stage.name
-            self.commands[stage.name] = stage.command()
+            self.commands[stage.name] = stage.words()
             if not (self.out / stage.name).exists():
                 (self.out / stage.name).mkdir()
                 self.done.append(stage.name)
@@ -50,7 +41,7 @@ class Bench:
         return 0
 
     def leave(self, stage) -> None:
-        folder, word = self.out / stage.name, stage.words[0]
+        folder, word = self.out / stage.name, stage.command
         if word == 'falsify':
             (folder / 'runs.parquet').write_text('')
             campaign(folder, self.failures.get(stage.name, 0))
@@ -66,19 +57,15 @@ class Bench:
 
 
 def campaign(folder: Path, failures: int) -> None:
-    with Ledger(folder / 'ledger.jsonl') as ledger:
-        ledger.campaign({'program': 's_falsif.scenic', 'runs': RUNS})
-        for index in range(RUNS):
-            failed = index < failures
-            ledger.intent(index, f'r{index}')
-            ledger.result(RunRow(
-                run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
-                outcome=Outcome.FAIL if failed else Outcome.PASS,
-                robustness=exact_intervals({'phi': -1.0 if failed else 1.0}),
-                cross_track_m=0.0, distance_m=50.0 * index,
-                heading_deg=0.0, clouds='clear', rain_percent=0.0, time_of_day_h=12.0,
-                left_runway=False,
-            ))
+    record_runs(folder, {'program': 's_falsif.scenic'}, [
+        RunRow(
+            run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
+            outcome=Outcome.FAIL if index < failures else Outcome.PASS,
+            robustness=exact_intervals({'phi': -1.0 if index < failures else 1.0}),
+            cross_track_m=0.0, distance_m=50.0 * index, heading_deg=0.0, clouds='clear',
+            rain_percent=0.0, time_of_day_h=12.0, left_runway=False,
+        ) for index in range(RUNS)
+    ])
 
 
 @pytest.fixture
@@ -95,13 +82,8 @@ def begun(tmp_path):
 
 def go(options: ImproveOptions, out: Path, bench: Bench):
     rounds = []
-    with RoundLedger(out) as ledger:
-        code = Improvement(out, options, ledger, bench.run, rounds.append).run()
+    code = Improvement(out, options, bench.run, rounds.append).run()
     return code, rounds
-
-
-def lines(out: Path) -> list[dict]:
-    return [json.loads(line) for line in (out / ROUNDS_NAME).read_text().splitlines()]
 
 
 def test_given_a_better_candidate_then_the_next_round_goes_on_from_it(begun):
@@ -123,7 +105,6 @@ def test_given_a_better_candidate_then_the_next_round_goes_on_from_it(begun):
     assert 'round-1-falsify=70' in second
     best = load_model(out / BEST).card
     assert best.weights_sha256 == one.candidate
-    assert [line['decision']['accepted'] for line in lines(out)] == [True, False]
 
 
 def test_given_no_candidate_that_is_better_then_the_network_stays_what_it_was(begun):
@@ -144,7 +125,6 @@ def test_given_no_failure_then_the_loop_ends_there_and_says_so(begun):
     assert (code, only.decision, only.failed, only.searched) == (0, None, 0, RUNS)
     assert bench.done == ['round-1-falsify']
     assert (out / BEST).exists()
-    assert [line['decision'] for line in lines(out)] == [None]
 
 
 def test_f1_given_a_disk_that_was_full_while_the_start_was_copied_then_it_goes_on(
@@ -178,7 +158,7 @@ def test_given_an_interrupt_when_called_again_then_nothing_is_done_or_written_tw
     code, rounds = go(options, out, again)
     assert (code, len(rounds)) == (0, 2)
     assert again.done == ['round-2-candidate']
-    assert [line['round'] for line in lines(out)] == [1, 2]
+    assert [one.number for one in rounds] == [1, 2]
 
 
 def test_given_the_seeds_of_all_rounds_then_no_two_are_equal():
@@ -201,23 +181,6 @@ def test_given_both_networks_of_a_round_then_their_scenes_are_the_same_and_new(b
     assert len(set(seeds.values())) == 6
 
 
-def test_given_options_when_written_then_they_are_read_back(begun):
-    options, out = begun
-    write_options(out, options)
-    assert read_options(out) == options
-
-
-@pytest.mark.parametrize(('text', 'reason'), [
-    ('', 'damaged'), ('[]', 'damaged'), (sealed_text({'rounds': 1}), 'has not the keys'),
-])
-def test_given_a_damaged_file_when_resumed_then_one_line_names_it(begun, text, reason):
-    _, out = begun
-    (out / 'improve.json').write_text(text)
-    with pytest.raises(UsageError, match=f'improve.json: .*{reason}') as caught:
-        read_options(out)
-    assert '\n' not in str(caught.value)
-
-
 @pytest.mark.parametrize(('change', 'reason'), [
     ({'rounds': 0}, 'rounds is 0, outside 1..100'),
     ({'budget': 15, 'rounds': 3}, 'leaves 1 runs for each of the three campaigns'),
@@ -237,15 +200,3 @@ def test_given_a_program_by_its_path_then_it_is_found_from_any_folder(tmp_path, 
     assert found.program == str(tmp_path / 'mine.scenic')
     assert found.base == 'training_full'
     assert found.add == (f'{tmp_path}/mine.scenic=3', 'crossing=2')
-
-
-@pytest.mark.parametrize(('kind', 'command'), [
-    (RoundLedger, 'taxinet improve'), (StageLog, 'taxinet case-study or improve'),
-])
-def test_given_a_folder_that_is_worked_on_then_another_command_is_refused(
-    kind, command, tmp_path
-):
-    with kind(tmp_path), pytest.raises(UsageError, match=f'in use by another {command}'):
-        kind(tmp_path)
-    with kind(tmp_path):
-        pass

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from planted_runs import planted_table
+from recorded_runs import record_runs
 
 from taxinet_ros.campaign.learned_result import Evidence, LearnedResult
-from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes.search_space import Choice, Piece
@@ -19,9 +19,9 @@ from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config, write_study
-from taxinet_ros.study.stages.log import StageLog
+from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config
 from taxinet_ros.study.stages.plan import LOCALIZE, PAPER_RULE, campaign_of, search_of
+from taxinet_ros.study.stages.record import OPTIONS, STAGE, StageRecord, open_study
 
 RUNS = 900
 FAILING: dict[str, Callable[[pd.DataFrame], object]] = {
@@ -44,7 +44,6 @@ def made_up_study(out: Path) -> StudyConfig:
     """Write a study into ``out``, of which training and further training are missing."""
     config = dataclasses.replace(read_config(shipped_config()), runs=RUNS,
                                  experiments={'shadows': 12})
-    write_study(out, config)
     for name, failing in FAILING.items():
         folder = out / campaign_of(name)
         folder.mkdir()
@@ -55,11 +54,11 @@ def made_up_study(out: Path) -> StudyConfig:
             _learned(out / search_of(sampler, seed), less, seed)
     _localized(out / LOCALIZE)
     _experiment(out / 'experiment-shadows')
-    with StageLog(out) as log:
+    done = StageRecord().started('i', RUNS, resumed=False).done('k', {}, 3725.0, workers=2)
+    with open_study(out, print) as record:
+        record.put(OPTIONS, 'case-study', dataclasses.asdict(config))
         for name in ('falsify-original', 'evaluate-generic'):
-            log.write('begin', name, identity='i', runs=RUNS, resumed=False)
-            log.write('end', name, key='k', outputs={}, wall_s=3725.0, workers=2,
-                      command=['falsify', 's_falsif'])
+            record.put(STAGE, name, dataclasses.asdict(done))
     return config
 
 
@@ -106,10 +105,7 @@ def _localized(folder: Path) -> None:
 
 def _experiment(folder: Path) -> None:
     for arm in ('shadows', 'no_shadows'):
-        (folder / arm).mkdir(parents=True)
-        with Ledger(folder / arm / 'ledger.jsonl') as ledger:
-            for index in range(12):
-                ledger.result(_row(index, arm))
+        record_runs(folder / arm, {}, [_row(index, arm) for index in range(12)])
     write_sealed(folder / 'experiment.json', {
         'comparisons': [{'pairs': 12}], 'sentences': ['Rho is greater.'],
     })

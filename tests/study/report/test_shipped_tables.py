@@ -14,7 +14,7 @@ import taxinet_ros as tx
 from taxinet_ros.bag.check.compare import same_stack
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.campaign.scenes.source import SceneSource
-from taxinet_ros.cli.study.case_study import CaseStudyOptions, run_case_study
+from taxinet_ros.cli.study.case_study import report_case_study
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
 from taxinet_ros.study.report.report import gather_findings
@@ -119,26 +119,24 @@ def test_t14_study_given_the_shipped_searches_then_there_are_five_by_each_rule_a
             assert f'{100 * line[name]:.1f} % {ends}' in DOCS
 
 
-def test_paper_given_tables_then_the_command_reports_them_and_refuses_what_would_run(
+def test_paper_given_tables_then_the_command_reports_them(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr('taxinet_ros.analysis.report.pictures.write_png', lambda *_: None)
     monkeypatch.setattr('taxinet_ros.analysis.report.page.write_report_page', lambda *_: None)
-    assert run_case_study(CaseStudyOptions(tables=ROOT / 'bags', out=Path('new'))) == 0
+    assert report_case_study(Path('new'), tables=ROOT / 'bags') == 0
     printed = capsys.readouterr().out
     assert 'late_morning: Not as in the paper (p ' in printed
     assert (tmp_path / 'new' / 'report' / 'case_study.json').is_file()
     with pytest.raises(UsageError, match='--out new: already exists'):
-        run_case_study(CaseStudyOptions(tables=ROOT / 'bags', out=Path('new')))
-    with pytest.raises(UsageError, match=r'--tables .*: runs nothing; leave --resume out'):
-        run_case_study(CaseStudyOptions(tables=ROOT / 'bags', resume=True))
+        report_case_study(Path('new'), tables=ROOT / 'bags')
 
 
 def test_paper_given_a_folder_without_tables_then_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=r'--tables empty: has no s_falsif_NETWORK_RUNS\.parquet'):
-        run_case_study(CaseStudyOptions(tables=Path('empty'), out=Path('new')))
+        report_case_study(Path('new'), tables=Path('empty'))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -20,8 +20,9 @@ from taxinet_ros.study.report.paper import judge_claims
 from taxinet_ros.study.report.report import gather_findings, study_values, write_study_report
 from taxinet_ros.study.report.results import read_results
 from taxinet_ros.study.report.sections import StudyFindings, study_sections
-from taxinet_ros.study.stages.config import read_study
+from taxinet_ros.study.stages.config import study_of
 from taxinet_ros.study.stages.plan import campaign_of
+from taxinet_ros.study.stages.record import read_options
 
 __all__ = ['browser']
 
@@ -37,7 +38,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope='module')
 def found(study: Path) -> StudyFindings:
     """What is in that study's folder, read once more."""
-    return gather_findings(read_study(study, '--report-only'), study)
+    return gather_findings(study_of(read_options(study, 'case-study', '')), study)
 
 
 def values(study: Path) -> dict[str, Any]:

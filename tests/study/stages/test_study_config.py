@@ -10,15 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.study.stages.config import (
     read_config,
-    read_study,
     resized,
     scaled,
     shipped_config,
-    write_study,
+    study_of,
 )
+from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
 
 SHIPPED = read_config(shipped_config())
 
@@ -129,10 +128,10 @@ def test_given_sizes_outright_then_they_hold_and_as_large_a_share_is_held_back()
 
 def test_given_a_study_that_was_begun_then_its_numbers_come_back(tmp_path):
     small = scaled(SHIPPED, 0.02)
-    write_study(tmp_path, small)
-    assert read_study(tmp_path, '--resume') == small
-    write_sealed(tmp_path / 'study.json', {'images': 3})
-    with pytest.raises(UsageError, match=r'study.json: cannot be read .*; name another --out'):
-        read_study(tmp_path, '--resume')
-    with pytest.raises(UsageError, match=r'--report-only: .*there is no case study'):
-        read_study(tmp_path / 'elsewhere', '--report-only')
+    with open_study(tmp_path, print) as record:
+        record.put(OPTIONS, 'case-study', dataclasses.asdict(small))
+    assert study_of(read_options(tmp_path, 'case-study', '--resume')) == small
+    for folder, command in ((tmp_path, 'improve'), (tmp_path / 'elsewhere', 'case-study')):
+        refusal = f'--report-only: {folder}: no study of taxinet {command}'
+        with pytest.raises(UsageError, match=refusal):
+            read_options(folder, command, '--report-only')

@@ -1,4 +1,4 @@
-"""The stages of a study are the paper's, and every one is a command that taxinet takes."""
+"""The stages of a study are the paper's, and every one can be done by hand."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ LEARNED_PROGRAM = learned_program(SHIPPED)
 
 
 def command(name: str) -> str:
-    return ' '.join(FOUND[name].command())
+    return ' '.join(FOUND[name].words())
 
 
 @pytest.mark.parametrize('name', FOUND)
 def test_given_a_stage_then_taxinet_knows_its_words(name):
-    first, *words = FOUND[name].command(resume=True)
+    first, *words = FOUND[name].words(resume=True)
     known = get_command(app).commands[first]
     known.make_context(first, list(words))
 
@@ -146,9 +146,9 @@ def test_given_an_engine_then_campaigns_run_on_it_and_their_results_are_the_same
     by_loop = with_engine(found, 'loop', '5')
     words = ('--engine', 'loop', '--audit', '5')
     for one, other in zip(found, by_loop, strict=True):
-        runs = one.words[0] in ('falsify', 'experiment')
-        assert other.command() == (*one.command(), *(words if runs else ()))
-    assert train(smoke_config(), find_program('s_falsif')).words[0] == 'train'
+        runs = one.command in ('falsify', 'experiment')
+        assert other.words() == (*one.words(), *(words if runs else ()))
+    assert train(smoke_config(), find_program('s_falsif')).command == 'train'
     few, many = (
         next(stage for stage in every if stage.name == 'evaluate-best')
         for every in (found, by_loop)
@@ -156,8 +156,8 @@ def test_given_an_engine_then_campaigns_run_on_it_and_their_results_are_the_same
     assert few.key(tmp_path) == many.key(tmp_path)
     there = with_engine(found, 'loop', None, 'tcp://10.0.0.1:8786')
     for one, other in zip(found, there, strict=True):
-        runs = one.words[0] in ('falsify', 'experiment')
-        assert ('--cluster' in other.command()) == runs
-        assert runs <= ('--workers' not in other.command())
+        runs = one.command in ('falsify', 'experiment')
+        assert ('--cluster' in other.words()) == runs
+        assert runs <= ('--workers' not in other.words())
     with pytest.raises(UsageError, match='--audit 5: no effect with --engine graph'):
         with_engine(found, 'graph', '5')

@@ -1,7 +1,4 @@
-"""Stages are run once, kept while they fit, continued after an interrupt, never thrown away.
-
-What a study says that its stages have made is looked for by the doctor.
-"""
+"""Stages are run once, kept while they fit, continued after an interrupt, never thrown away."""
 
 from __future__ import annotations
 
@@ -13,20 +10,29 @@ import sys
 from pathlib import Path
 
 import pytest
-from studies import STAND_IN, asked, run_study, sittings_of, smoke_config
+from studies import asked, run_study, sittings_of, smoke_config, stand_in
 
-from taxinet_ros.campaign.doctor import examine
-from taxinet_ros.cli.study import case_study
-from taxinet_ros.errors import UsageError
-from taxinet_ros.files.sealed_json import file_sha256
-from taxinet_ros.study.stages.log import LOG_NAME, StageLog, read_records
+from taxinet_ros.cli.study.case_study import run_case_study
+from taxinet_ros.errors import InfraError, RecordError, UsageError
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.plan import stages
-from taxinet_ros.study.stages.progress import State, seconds_left, state_of
-from taxinet_ros.study.stages.run import StudyRun, run_command
-from taxinet_ros.study.stages.stage import Kind, Stage
+from taxinet_ros.study.stages.progress import State, state_of
+from taxinet_ros.study.stages.record import StageRecord, open_study, read_stages
+from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.stage import Stage
+from taxinet_ros.training.data import unfinished
 
-RUN = 'import sys, pathlib, studies; code, lines = studies.run_study(pathlib.Path(sys.argv[1])); ' \
-    "print('\\n'.join(lines)); sys.exit(code)"
+RUN = """
+import sys
+from pathlib import Path
+from studies import run_study
+lines = []
+try:
+    code, _ = run_study(Path(sys.argv[1]), lines=lines)
+finally:
+    print('\\n'.join(lines))
+sys.exit(code)
+"""
 
 
 @pytest.fixture(scope='module')
@@ -52,21 +58,16 @@ def copied(finished: Path, tmp_path: Path, *without: str) -> Path:
     return out
 
 
-def test_given_a_whole_study_when_run_again_then_nothing_is_done_twice(finished):
-    code, lines = run_study(finished)
-    assert code == 0
-    assert asked(finished) == []
-    assert len(lines) == 30
-    assert all('done, kept' in line for line in lines)
-
-
-def test_given_a_whole_study_then_headings_number_its_stages_and_tell_the_time(first_sitting):
-    _, lines = first_sitting
+def test_given_a_study_then_headings_number_its_stages_and_none_is_done_twice(first_sitting):
+    out, lines = first_sitting
     headings = [line for line in lines if line.startswith('[')]
     assert len(headings) == 30
     assert headings[1].startswith('[2/30] falsify-original: taxinet falsify s_falsif --sampler ')
     assert ' --runs 20 --workers 2' in headings[1]
-    assert sum(' left' in line for line in lines) == 30
+    assert sum(line.endswith(' elapsed') for line in lines) == 30
+    code, lines = run_study(out)
+    assert (code, asked(out), len(lines)) == (0, [], 30)
+    assert all('done, kept' in line for line in lines)
 
 
 def test_given_another_training_when_resumed_then_what_rests_on_it_is_done_anew(
@@ -130,29 +131,28 @@ def test_given_fewer_runs_when_resumed_then_it_is_refused_and_nothing_is_touched
     assert asked(finished) == []
 
 
-def test_given_a_stage_that_fails_then_the_study_stops_with_its_code_and_goes_on_later(
-    finished, tmp_path, capfd
-):
+def test_given_a_stage_that_is_refused_then_the_study_stops_and_goes_on_later(finished, tmp_path):
     out = copied(finished, tmp_path, 'analyze-original', 'localize-original')
     (out / 'fail.txt').write_text('analyze-original')
-    code, lines = run_study(out)
-    assert code == 2
+    lines: list[str] = []
+    with pytest.raises(UsageError, match=r'^analyze-original: out of luck$'):
+        run_study(out, lines=lines)
     assert len(asked(out)) == 1
-    assert lines[-1] == (
-        'stopped at analyze-original: exit code 2; once it is mended, --resume goes on'
-    )
-    assert 'taxinet: error: analyze-original: out of luck' in capfd.readouterr().err
+    assert lines[-1] == 'stopped at analyze-original; once it is mended, --resume goes on'
     (out / 'fail.txt').unlink()
-    code, _ = run_study(out)
-    assert code == 0
+    assert run_study(out)[0] == 0
     assert [line.split()[0] for line in asked(out)] == ['analyze', 'localize']
 
 
-def test_given_a_command_that_leaves_nothing_behind_then_the_study_stops(tmp_path, monkeypatch):
-    monkeypatch.setattr('studies.STAND_IN', [sys.executable, '-c', ''])
-    code, lines = run_study(tmp_path / 'study')
-    assert code == 4
-    assert 'train-original/original.safetensors is missing' in lines[-1]
+@pytest.mark.parametrize(('code', 'ends_with', 'why'), [
+    (0, 4, 'train-original/original.safetensors is missing'), (3, 3, 'exit code 3'),
+])
+def test_given_a_stage_that_leaves_nothing_behind_then_the_study_stops(
+    tmp_path, code, ends_with, why
+):
+    ended, lines = run_study(tmp_path / 'study', work=lambda stage, resume: code)
+    assert (ended, read_stages(tmp_path / 'study')['train-original'].key) == (ends_with, '')
+    assert lines[-1] == f'stopped at train-original: {why}; once it is mended, --resume goes on'
 
 
 def test_given_an_original_without_failures_then_nobody_is_asked_whose_fault_they_are(
@@ -183,192 +183,181 @@ def test_t14_study_given_a_search_that_learned_nothing_then_nothing_is_trained_o
     assert asked(out) == []
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_given_a_study_when_interrupted_then_its_stage_ends_in_order_and_is_resumed(
+def waiting(out: Path) -> subprocess.Popen[str]:
+    """A study that waits in the stage evaluate-generic."""
+    (out / 'wait.txt').write_text('evaluate-generic')
+    study = subprocess.Popen(
+        [sys.executable, '-c', RUN, str(out)], cwd=Path(__file__).parent, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )
+    assert study.stdout is not None
+    assert study.stdout.readline() == 'waiting\n'
+    (out / 'wait.txt').unlink()
+    return study
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_given_a_study_when_interrupted_or_killed_then_its_stage_is_resumed(
     finished, tmp_path, number
 ):
     out = copied(finished, tmp_path, 'evaluate-generic', 'evaluate-halton')
-    (out / 'wait.txt').write_text('evaluate-generic')
-    here = str(Path(__file__).parent)
-    with subprocess.Popen(
-        [sys.executable, '-c', RUN, str(out)], cwd=here, stdout=subprocess.PIPE, text=True
-    ) as study:
-        assert study.stdout is not None
-        assert study.stdout.readline() == 'waiting\n'
+    with waiting(out) as study:
         study.send_signal(number)
         printed, _ = study.communicate()
-    assert study.returncode == 130
-    assert printed.splitlines()[-1] == 'interrupted in evaluate-generic; --resume goes on'
-    records = read_records(out)
-    assert not records['evaluate-generic'].key
+    killed = number == signal.SIGKILL
+    assert study.returncode == (-9 if killed else 130)
+    last = 'interrupted in evaluate-generic; --resume goes on'
+    assert killed or printed.splitlines()[-1] == last
+    records = read_stages(out)
+    assert (records['evaluate-generic'].key, records['evaluate-generic'].begun) == ('', killed)
     assert records['evaluate-halton'].sittings == 1
-    (out / 'wait.txt').unlink()
     assert len(asked(out)) == 1
     assert run_study(out)[0] == 0
     first, second = asked(out)
     assert 'evaluate-halton' in second
     assert first.startswith('falsify s_falsif')
     assert first.endswith('--out evaluate-generic --runs 20 --workers 2 --resume')
-    assert sittings_of(out, 'evaluate-generic') == 2
+    # The time of a killed sitting is not known.
+    found = read_stages(out)['evaluate-generic']
+    assert (found.sittings, found.killed) == ((1, True) if killed else (2, False))
+
+
+def test_given_an_interrupt_that_comes_as_a_stage_ends_then_the_next_one_is_not_begun(
+    finished, tmp_path, monkeypatch
+):
+    out = copied(finished, tmp_path, 'evaluate-generic', 'evaluate-halton')
+    received = iter([0, 1])
+    monkeypatch.setattr('taxinet_ros.study.stages.run.interrupts_received', lambda: next(received))
+    code, lines = run_study(out)
+    assert (code, lines[-1]) == (130, 'interrupted after evaluate-generic; --resume goes on')
+    assert len(asked(out)) == 1
+    assert read_stages(out)['evaluate-generic'].key
 
 
 def test_given_a_study_at_work_when_another_begins_in_its_folder_then_that_is_refused(tmp_path):
     with (
-        StageLog(tmp_path),
-        pytest.raises(UsageError, match='in use by another taxinet case-study or improve'),
+        open_study(tmp_path, print), pytest.raises(UsageError, match='another command is writing'),
+        open_study(tmp_path, print),
     ):
-        StageLog(tmp_path)
+        pass
 
 
-def test_given_a_log_with_a_torn_line_then_it_is_left_out_and_a_damaged_one_is_named(
+def test_given_a_damaged_record_then_it_is_named_and_what_it_lacks_is_done_again(
     finished, tmp_path
 ):
     out = copied(finished, tmp_path)
-    log = out / LOG_NAME
-    whole = read_records(out)
-    with log.open('a') as file:
-        file.write('{"event":"begin","sta')
-    assert read_records(out) == whole
-    log.write_text('{"event":"end"}\n' + log.read_text())
-    with pytest.raises(UsageError, match=rf'{LOG_NAME}:1: damaged line .no checksum'):
-        read_records(out)
+    path, whole = out / RECORD_NAME, read_stages(out)
+    at = path.read_bytes().index(b'"identity"')
+    data = bytearray(path.read_bytes())
+    data[at + 20] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(UsageError, match=rf'{RECORD_NAME}: damaged'):
+        read_stages(out)
+    lines: list[str] = []
+    assert run_study(out, lines=lines)[0] == 0
+    assert 'damaged' in lines[0]
+    assert len(asked(out)) == 1
+    assert list(out.glob('*.before-1')), 'what the lost stage had made is kept'
+    assert {name: one.outputs for name, one in read_stages(out).items()} == {
+        name: one.outputs for name, one in whole.items()}
 
 
-def test_given_a_killed_sitting_then_the_log_says_that_its_time_is_not_known(tmp_path):
-    with StageLog(tmp_path) as log:
-        begin = {'identity': 'a', 'runs': 3}
-        log.write('begin', 'one', resumed=False, **begin)
-    with StageLog(tmp_path) as log:
-        log.write('begin', 'one', resumed=True, **begin)
-        log.write('end', 'one', key='k', outputs={}, wall_s=2.0)
-        record = log.records['one']
+def test_given_a_killed_sitting_then_the_record_says_that_its_time_is_not_known():
+    begun = StageRecord().started('a', 3, resumed=False)
+    record = begun.started('a', 3, resumed=True).done('k', {}, 2.0, workers=1)
     assert (record.killed, record.wall_s, record.sittings) == (True, 2.0, 1)
+    anew = record.started('a', 3, resumed=False)
+    assert (anew.killed, anew.wall_s, anew.sittings, anew.key) == (False, 0.0, 0, '')
 
 
-def test_given_what_took_how_long_then_the_rest_is_told_by_it(finished):
-    found, records = stages(smoke_config()), read_records(finished)
-    assert all(state_of(stage, records, finished) is State.DONE for stage in found)
-    slow = {
-        name: dataclasses.replace(record, wall_s=1000.0) for name, record in records.items()
-    }
-    evaluation = next(stage for stage in found if stage.name == 'evaluate-best')
-    quick = seconds_left([evaluation], found, records, 2)
-    assert 0 < quick < 100
-    assert 200 < seconds_left([evaluation], found, slow, 2) <= 1000
-    assert seconds_left([evaluation], found, {}, 1) > seconds_left([evaluation], found, {}, 2)
+def test_given_a_whole_study_then_every_stage_is_done(finished):
+    records = read_stages(finished)
+    assert {state_of(stage, records, finished) for stage in stages(smoke_config())} == {State.DONE}
 
 
 def test_f9_given_a_study_whose_folder_is_moved_then_it_ends_with_one_line(finished, tmp_path):
-    out = copied(finished, tmp_path, 'evaluate-generic', 'evaluate-halton')
-    (out / 'wait.txt').write_text('evaluate-generic')
-    here = str(Path(__file__).parent)
-    with subprocess.Popen(
-        [sys.executable, '-c', RUN, str(out)], cwd=here, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
-    ) as study:
-        assert study.stdout is not None
-        assert study.stdout.readline() == 'waiting\n'
-        out.rename(tmp_path / 'moved')
-        study.send_signal(signal.SIGINT)
-        _, complaints = study.communicate()
-    assert f'RecordError: {out}/stages.jsonl: was moved, deleted or replaced' in complaints
+    out, moved = copied(finished, tmp_path, 'evaluate-generic', 'evaluate-halton'), tmp_path / 'to'
+
+    def move(stage: Stage, resume: bool) -> int:
+        out.rename(moved)
+        raise OSError(2, 'No such file or directory')
+
+    with pytest.raises(RecordError, match=f'{out}/{RECORD_NAME}: was moved, deleted or replaced'):
+        run_study(out, work=move)
     assert not out.exists()
-    (tmp_path / 'moved' / 'wait.txt').unlink()
-    asked(tmp_path / 'moved')
-    assert run_study(tmp_path / 'moved')[0] == 0
-    assert len(asked(tmp_path / 'moved')) == 2, 'what was not done, and no more'
+    assert run_study(moved)[0] == 0
+    assert len(asked(moved)) == 2, 'what was not done, and no more'
 
 
-MOVES = """
-import sys
-from pathlib import Path
-from taxinet_ros.files.atomic import make_folder
-study = Path(sys.argv[1])
-study.rename(study.with_name('moved'))
-print('moved', flush=True)
-make_folder(study / 'analyze')
-"""
+def test_f1_given_a_full_disk_at_the_first_file_then_the_error_names_it(tmp_path, monkeypatch):
+    def refuse(record: object, kind: str, key: str, values: object) -> None:
+        raise OSError(28, 'No space left on device', str(tmp_path / 'study' / RECORD_NAME))
 
-
-def test_f9_given_a_folder_that_is_moved_during_a_stage_then_nothing_is_made_in_its_place(tmp_path):
     out = tmp_path / 'study'
-    (out / 'logs').mkdir(parents=True)
-    code, interrupted, said = run_command(
-        [sys.executable, '-c', MOVES, str(out)], out, tmp_path, out / 'logs' / 'analyze.log')
-    assert (code, interrupted, said) == (1, False, '')
-    assert 'RecordError' in (tmp_path / 'moved' / 'logs' / 'analyze.log').read_text()
-    assert not out.exists()
-
-
-def test_f1_given_a_full_disk_at_the_first_file_then_the_study_can_be_begun_again(
-    tmp_path, monkeypatch
-):
-    def refuse(out: Path, config: object) -> None:
-        raise OSError(28, 'No space left on device', str(out / 'study.json'))
-
-    options = case_study.CaseStudyOptions(out=tmp_path / 'study', scale=0.005)
     with monkeypatch.context() as full:
-        full.setattr(case_study, 'write_study', refuse)
+        full.setattr('taxinet_ros.files.record.Record.put', refuse)
         with pytest.raises(OSError, match='No space left'):
-            case_study.run_case_study(options)
-    assert list((tmp_path / 'study').iterdir()) == []
-    monkeypatch.setattr(case_study.StudyRun, 'run', lambda run: 0)
-    assert case_study.run_case_study(options) == 0
+            run_case_study(out=out, scale=0.005)
+    monkeypatch.setattr(StudyRun, 'run', lambda run: 0)
+    with pytest.raises(UsageError, match=r'--resume: .*: no study of taxinet case-study'):
+        run_case_study(out=out, resume=True)
+    assert run_case_study(out=tmp_path / 'other', scale=0.005) == 0
 
 
-def test_doctor_given_what_a_stage_has_made_then_it_is_looked_for(tmp_path: Path) -> None:
-    made = tmp_path / 'one' / 'result.parquet'
-    made.parent.mkdir()
-    made.write_bytes(b'1')
-    with StageLog(tmp_path) as log:
-        log.write('begin', 'one', identity='a', runs=1, resumed=False)
-        outputs = {'one/result.parquet': file_sha256(made)}
-        log.write('end', 'one', key='k', outputs=outputs, wall_s=1.0)
-    assert examine(tmp_path).findings == []
-    made.write_bytes(b'2')
-    assert [(one.where, one.what) for one in examine(tmp_path).findings] == [
-        (str(made), 'is not the file made by stage one')
-    ]
-    made.unlink()
-    assert [one.what for one in examine(tmp_path).findings] == [
-        'is missing, but was made by stage one'
-    ]
-    with StageLog(tmp_path) as log:  # one that is begun anew makes it anew
-        log.write('begin', 'one', identity='b', runs=1, resumed=False)
-    assert examine(tmp_path).findings == []
-
-
+@pytest.mark.parametrize('how', ['refused', 'broken', 'code'])
 def test_given_an_optional_stage_that_is_refused_then_the_others_go_on_and_it_is_tried_again(
-    tmp_path
+    tmp_path, how
 ):
     logs = tmp_path / 'logs'
     logs.mkdir()
-    (tmp_path / 'runs.parquet').write_text('')
     (tmp_path / 'fail.txt').write_text('look')
     first = Stage(
-        name='look', words=('analyze', 'x', '--out', 'look'), outputs=('look/report.html',),
-        kind=Kind.REPORT, amount=1, optional=True,
+        name='look', command='analyze', argument='x', options={'out': 'look'},
+        outputs=('look/report.html',), optional=True,
     )
     second = dataclasses.replace(
-        first, name='after', words=('analyze', 'x', '--out', 'after'),
-        outputs=('after/report.html',), optional=False,
+        first, name='after', options={'out': 'after'}, outputs=('after/report.html',),
+        optional=False,
     )
+
+    def work(stage: Stage, resume: bool) -> int:
+        print(f'at {stage.name}')
+        try:
+            return stand_in(stage, resume)
+        except UsageError:
+            if how == 'refused':
+                raise
+            if how == 'broken':
+                raise InfraError('died', 'worker', 3, 'out of luck') from None
+            return 4
 
     def sitting() -> tuple[int, dict[str, str], list[str]]:
         lines: list[str] = []
-        with StageLog(tmp_path) as log:
+        with open_study(tmp_path, lines.append) as record:
             run = StudyRun(
-                tmp_path, (first, second), log=log, command=STAND_IN, workers=1,
-                show=lines.append, logs=logs,
+                tmp_path, (first, second), record=record, work=work, workers=1, show=lines.append,
+                logs=logs,
             )
             return run.run(), run.refused, lines
 
     code, refused, lines = sitting()
-    assert (code, refused) == (0, {'look': 'look: out of luck'})
-    assert 'look: not done: look: out of luck' in lines
+    why = 'exit code 4' if how == 'code' else 'out of luck'
+    assert (code, list(refused)) == (0, ['look'])
+    assert why in refused['look']
+    assert f'look: not done: {refused["look"]}' in lines
     assert (tmp_path / 'after' / 'report.html').is_file()
-    assert 'out of luck' in (logs / 'look.log').read_text()
+    assert (logs / 'look.log').read_text() == 'at look\n'
     (tmp_path / 'fail.txt').unlink()
     asked(tmp_path)
     assert sitting()[:2] == (0, {})
     assert [line.split()[-1] for line in asked(tmp_path)] == ['look']
+
+
+def test_given_a_training_that_was_killed_then_it_goes_on_from_its_last_epoch(finished, tmp_path):
+    out = copied(finished, tmp_path, 'train-halton')
+    (out / 'train-halton' / 'halton.part').mkdir(parents=True)
+    (out / 'train-halton' / 'halton.part' / unfinished.NAME).write_text('begun')
+    assert run_study(out)[0] == 0
+    (line,) = asked(out)
+    assert line.startswith('train s_falsif')
+    assert line.endswith(' --resume')

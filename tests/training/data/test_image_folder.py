@@ -137,7 +137,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
     'image outside': (with_text(f'{HEAD}../other.png,1,1\n'), 'line 2', 'outside'),
     'image of another root': (with_text(f'{HEAD}/etc/passwd,1,1\n'), 'line 2', 'outside'),
     'image changed': (wrong_digest, 'row 3', 'SHA-256'),
-    'not finished': (lambda f: (f / 'request.json').write_text('{}'), '', 'taxinet dataset'),
+    'not finished': (lambda f: (f / 'progress.db').write_text('{}'), '', 'taxinet dataset'),
     'facts damaged': (
         lambda f: (f / 'dataset.json').write_text('[]'), 'dataset.json', 'taxinet doctor',
     ),

@@ -1,6 +1,6 @@
 """What another stack would change of a run, as far as one machine can tell.
 
-``python tests/up/other_stacks.py --scenes 6 --duration 30`` runs the same scenes, in one process
+``python benchmarks/other_stacks.py --scenes 6 --duration 30`` runs the same scenes, in one process
 without ROS, with the shipped network in the hands of torch in place of onnxruntime, and with numpy,
 OpenCV and the C library kept from using this processor's newer instructions, as they would be on an
 older one. It prints by how much the runs differ from those of a second process like the first.
@@ -17,6 +17,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
@@ -71,7 +72,11 @@ class InTorch(Perception):
         self._other = make_perception('taxinet')
         self.apart: list[tuple[float, float]] = []
 
-    def estimate(self, image, truth):
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """The answer of torch."""
+        assert image is not None
         with self._torch.inference_mode():
             pictures = self._torch.from_numpy(normalise(shrink(image)[np.newaxis]))
             cte_m, he_rad = unscaled(self._network(pictures).numpy())[0]
@@ -130,6 +135,7 @@ def compared(expected: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> d
 
 
 def main() -> None:
+    """Compare the stacks, or with ``--child`` run the scenes in one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--scenes', type=int, default=len(SCENES))
     parser.add_argument('--duration', type=float, default=30.0)
@@ -147,7 +153,6 @@ def main() -> None:
         print(f'{stack}:', ', '.join(f'{name} {value:.3g}' for name, value in found.items()))
         by_scene = np.abs(expected['cte_m'] - other['cte_m']).max(axis=1)
         print('  cte_m by scene:', *(f'{far:.2g}' for far in by_scene), flush=True)
-
 
 
 if __name__ == '__main__':

@@ -1,1 +1,0 @@
-"""Check of a user's node against the lockstep contract."""
