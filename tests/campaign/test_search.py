@@ -20,7 +20,7 @@ from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes import source as scene_source
 from taxinet_ros.campaign.scenes.search_space import Choice, SearchSpace
-from taxinet_ros.campaign.search import PATIENCE, search_summary
+from taxinet_ros.campaign.search import Search, search_summary
 from taxinet_ros.campaign.search_options import (
     SearchOptions,
     StopRule,
@@ -36,12 +36,20 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
 
 
-@pytest.fixture
-def whole(tmp_path: Path) -> Path:
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a search that nobody disturbed."""
-    out = tmp_path / 'whole'
-    toy.finish(toy.options(out))
+    out = tmp_path_factory.mktemp('search') / 'whole'
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search_module, 'SceneSource', toy.ToySource)
+        toy.finish(toy.options(out))
     return out
+
+
+@pytest.fixture
+def copy(whole: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be continued."""
+    return Path(shutil.copytree(whole, tmp_path / 'copy'))
 
 
 def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_chosen(whole):
@@ -149,18 +157,18 @@ def test_given_a_kill_after_any_answer_when_resumed_then_the_table_is_that_of_an
 
 
 def test_given_a_finished_search_when_resumed_with_more_runs_then_only_those_are_done(
-    whole, tmp_path
+    copy, tmp_path
 ):
     toy.finish(toy.options(tmp_path / 'longer', runs=25))
     new = []
     with search_module.Search(
-        toy.options(whole, runs=25, resume=True), ('perception',), new.append
+        toy.options(copy, runs=25, resume=True), ('perception',), new.append
     ) as search:
         for _ in toy.answers(search, 1):
             pass
     assert [row.index for row in new] == [20, 21, 22, 23, 24]
-    toy.same_table(whole, tmp_path / 'longer')
-    assert read_facts(whole)['runs'] == 25
+    toy.same_table(copy, tmp_path / 'longer')
+    assert read_facts(copy)['runs'] == 25
 
 
 def break_once(indices: set[int]):
@@ -203,16 +211,6 @@ def test_given_a_run_that_breaks_twice_then_it_counts_as_broken_and_is_not_learn
     toy.same_table(tmp_path / 'one', tmp_path / 'many')
 
 
-def test_given_a_broken_bench_then_patience_ends(tmp_path):
-    search = toy.finish(
-        toy.options(tmp_path / 'c', sampler='halton'),
-        judge=lambda request: toy.result(request, Outcome.INFRA_ERROR),
-    )
-    outcomes = [row.outcome for row in search.rows if row.outcome is not Outcome.REJECTED]
-    assert outcomes == [Outcome.INFRA_ERROR] * PATIENCE
-    assert 'broken by the bench' in search.stopped
-
-
 @pytest.mark.parametrize(('rule', 'runs'), [('failures=3', 200), ('half-width=0.2', 200)])
 def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule, runs, tmp_path):
     chosen = toy.options(tmp_path / 'c', runs=runs, sampler='random', stop=parse_stop_rule(rule))
@@ -253,32 +251,23 @@ def test_given_a_search_resumed_with_another_rule_then_the_record_names_both(tmp
     assert read_facts(tmp_path / 'c')['until'] == ['failures=1', 'min-satisfaction=0.2']
 
 
-def test_given_a_sequential_test_of_runs_that_the_program_does_not_draw_then_it_is_refused(
-    tmp_path
-):
-    stop = parse_stop_rule('min-satisfaction=0.2')
-    with pytest.raises(UsageError, match='no rate is known with grid'):
-        toy.finish(toy.options(tmp_path / 'c', sampler='grid', stop=stop))
+def summary(done: Search) -> str:
+    return '\n'.join(search_summary(done))
 
 
-def test_t15_given_a_search_until_failures_then_its_summary_says_what_that_does(tmp_path):
+def test_t15_given_an_open_number_of_runs_then_the_summary_and_the_record_say_so(tmp_path):
     stop = parse_stop_rule('failures=1')
-    words = '\n'.join(search_summary(toy.finish(toy.options(tmp_path / 'a', runs=200, stop=stop))))
+    words = summary(toy.finish(toy.options(tmp_path / 'a', runs=200, stop=stop)))
     assert 'too high on average; the interval holds all the same' in words
     assert 'valid whenever a search stops' in words
-    words = '\n'.join(
-        search_summary(toy.finish(toy.options(tmp_path / 'b', sampler='random'))))
+    words = summary(toy.finish(toy.options(tmp_path / 'b', sampler='random')))
     assert 'too high' not in words
     assert '(95 % intervals)' in words
-
-
-def test_t15_given_a_search_that_was_given_more_runs_then_its_interval_is_for_any_stop(tmp_path):
     toy.finish(toy.options(tmp_path / 'c', runs=20))
     search = toy.finish(toy.options(tmp_path / 'c', runs=30, resume=True))
     assert search.first_planned == range(20)
-    words = '\n'.join(search_summary(search))
-    assert 'valid whenever a search stops' in words
     assert read_facts(tmp_path / 'c')['first_runs'] == 20
+    assert 'valid whenever a search stops' in summary(search)
 
 
 def test_t1_given_a_search_without_draws_then_its_summary_says_that_there_is_no_rate(tmp_path):
@@ -346,26 +335,26 @@ OTHERS = {
 
 @pytest.mark.parametrize('case', OTHERS)
 def test_given_another_search_in_the_folder_when_resumed_then_it_is_refused_and_left_alone(
-    case, whole
+    case, copy
 ):
     changes, expected = OTHERS[case]
-    before = {path: path.read_bytes() for path in whole.iterdir() if path.is_file()}
+    before = {path: path.read_bytes() for path in copy.iterdir() if path.is_file()}
     with pytest.raises(UsageError) as caught:
-        toy.finish(toy.options(whole, resume=True, **changes))
+        toy.finish(toy.options(copy, resume=True, **changes))
     assert expected in str(caught.value)
     assert '\n' not in str(caught.value)
-    assert {path: path.read_bytes() for path in whole.iterdir() if path.is_file()} == before
+    assert {path: path.read_bytes() for path in copy.iterdir() if path.is_file()} == before
 
 
 def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused(
-    whole, monkeypatch
+    copy, monkeypatch
 ):
     monkeypatch.setattr(search_module, 'check_perception', lambda word, **others: 'abc')
     with pytest.raises(UsageError, match='begun with perception_sha256 "", not "abc"'):
-        toy.finish(toy.options(whole, resume=True))
+        toy.finish(toy.options(copy, resume=True))
     monkeypatch.setattr(toy.ToySource, 'text', '# --- nominal.scenic ---\nother\n')
     with pytest.raises(UsageError, match=r'begun with another text of nominal\.scenic'):
-        toy.finish(toy.options(whole, resume=True))
+        toy.finish(toy.options(copy, resume=True))
 
 
 def test_given_nothing_to_resume_or_a_campaign_of_another_kind_then_one_line_says_so(tmp_path):
@@ -376,21 +365,21 @@ def test_given_nothing_to_resume_or_a_campaign_of_another_kind_then_one_line_say
         toy.finish(toy.options(tmp_path, resume=True))
 
 
-def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refused(whole):
-    point = read_campaign(whole).rows[7].point
-    change_row(whole, 7, point={**point, 'x': point['x'] + 1e-9})
-    before = read_campaign(whole)
+def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refused(copy):
+    point = read_campaign(copy).rows[7].point
+    change_row(copy, 7, point={**point, 'x': point['x'] + 1e-9})
+    before = read_campaign(copy)
     with pytest.raises(UsageError, match='another point for run 7'):
-        toy.finish(toy.options(whole, resume=True))
-    assert read_campaign(whole) == before
+        toy.finish(toy.options(copy, resume=True))
+    assert read_campaign(copy) == before
 
 
-@pytest.mark.parametrize('sampler', ['halton', 'sobol', 'grid'])
-def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, tmp_path):
-    chosen = toy.options(
-        tmp_path / 'c', sampler=sampler, stop=parse_stop_rule('half-width=0.1')
-    )
-    with pytest.raises(UsageError, match='no rate is known'):
+@pytest.mark.parametrize(('sampler', 'rule'), [
+    ('halton', 'half-width=0.1'), ('sobol', 'half-width=0.1'), ('grid', 'min-satisfaction=0.2'),
+])
+def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, rule, tmp_path):
+    chosen = toy.options(tmp_path / 'c', sampler=sampler, stop=parse_stop_rule(rule))
+    with pytest.raises(UsageError, match=f'no rate is known with {sampler}'):
         toy.finish(chosen)
     assert list(tmp_path.iterdir()) == []
 
