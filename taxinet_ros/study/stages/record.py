@@ -98,11 +98,11 @@ def open_study(out: Path, show: Callable[[str], None]) -> Iterator[Record]:
     path = out / RECORD_NAME
     if path.is_file() and (line := repair_record(path)):
         show(line)
-    if warning := stack_warning(read_stages(out)):
-        show(warning)
     with Record(path) as record:
         if record.entries.keys() & {STAGE, OPTIONS}:
             repaired(record)
+            if warning := stack_warning(read_stages(out)):
+                show(warning)
         yield record
 
 
