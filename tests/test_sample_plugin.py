@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import shutil
@@ -14,6 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+
+from taxinet_ros.campaign.record.facts import read_facts
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 PLUGIN = REPOSITORY / 'examples' / 'plugin'
@@ -68,7 +69,7 @@ def test_given_the_sample_when_its_names_are_given_then_a_run_is_made_and_says_w
         cwd=tmp_path,
     )
     assert done.returncode in (0, 1), done.stderr
-    facts = json.loads((tmp_path / 'c' / 'campaign.json').read_text())
+    facts = read_facts(tmp_path / 'c')
     assert list(facts['specs']) == ['gentle']
     for kind, name in (('perceptions', 'bright-paint'), ('controllers', 'damped')):
         found = facts['extensions'][kind]
@@ -98,7 +99,7 @@ def test_given_the_sample_when_its_sampler_is_named_then_it_chooses_the_runs(
                '--perception', 'truth', '--set', 'duration=1', '--out', 'f')
     done = taxinet(site, *options, '--runs', '3', cwd=tmp_path)
     assert done.returncode in (0, 1), done.stderr
-    facts = json.loads((tmp_path / 'f' / 'campaign.json').read_text())
+    facts = read_facts(tmp_path / 'f')
     assert facts['extensions']['samplers']['name'] == 'corners'
     more = taxinet(site, *options, '--runs', '4', '--resume', cwd=tmp_path)
     assert more.returncode in (0, 1), more.stderr
@@ -130,6 +131,7 @@ def test_given_the_sample_when_a_run_is_made_in_its_world_then_its_frames_are_of
     site: Path, tmp_path: Path
 ) -> None:
     code = """
+from taxinet_ros.campaign.record.facts import read_facts
 import taxinet_ros as tx
 scene = tx.Scenario(cross_track_m=2.0, duration_s=1.0)
 here, there = (tx.run(scene, specs="gentle", world=world) for world in ("kmwh", "bicycle"))
@@ -151,7 +153,7 @@ def test_given_the_world_of_the_sample_when_runs_are_asked_for_then_all_that_fol
     done = taxinet(site, *options, '--runs', '1', cwd=tmp_path)
     assert done.returncode == 1, done.stdout + done.stderr
     assert 'world bicycle' in done.stdout
-    facts = json.loads((tmp_path / 'f' / 'campaign.json').read_text())
+    facts = read_facts(tmp_path / 'f')
     assert facts['world'] == facts['extensions']['worlds']['name'] == 'bicycle'
     [bag] = [path for path in (tmp_path / 'f').iterdir() if (path / 'metadata.yaml').exists()]
     info = taxinet(site, 'bag', 'info', str(bag), cwd=tmp_path)
@@ -167,7 +169,7 @@ def test_given_the_world_of_the_sample_when_runs_are_asked_for_then_all_that_fol
     assert again.returncode == 0, again.stdout + again.stderr
     shrunk = taxinet(site, 'shrink', str(bag), '--runs', '8', '--out', 's', cwd=tmp_path)
     assert '--world bicycle' in shrunk.stdout, shrunk.stdout + shrunk.stderr
-    assert json.loads((tmp_path / 's' / 'campaign.json').read_text())['world'] == 'bicycle'
+    assert read_facts(tmp_path / 's')['world'] == 'bicycle'
     why = taxinet(site, 'localize', 'f', '--workers', '1', cwd=tmp_path)
     assert why.returncode in (0, 1), why.stdout + why.stderr
     assert 'another one' not in why.stdout

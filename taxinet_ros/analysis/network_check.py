@@ -15,7 +15,7 @@ from typing import Any
 
 from taxinet_ros.campaign.options import DEFAULT_JUDGING
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene, scenes_of_program
-from taxinet_ros.campaign.past_runs.trials import System, Task, Trial, run_trials
+from taxinet_ros.campaign.past_runs.trials import Task, Trial, TrialSystem, run_trials
 from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import ExitCode
@@ -119,7 +119,7 @@ def check_networks(
     """
     prints = [check_perception(network) for network in networks]
     for network, fingerprint in zip(networks, prints, strict=True):
-        system = System(perception=network, judging=DEFAULT_JUDGING, gains={})
+        system = TrialSystem(perception=network, judging=DEFAULT_JUDGING)
         done: dict[str, Trial] = {}
         for trial in run_trials(_tasks(scenes, interrupted), system, workers):
             done[trial.run_id] = trial

@@ -25,7 +25,6 @@ from taxinet_ros.api.run import (
 from taxinet_ros.arguments import NUMBER, PATH, Kind, a, takes, told
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.layout import mcap_path
-from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.message_values import error_of, stamp_of
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import check_state, states_and_commands
@@ -132,8 +131,7 @@ def read_past(recording: Recording) -> Past:
         )
     states, commands = states_and_commands(recording)
     estimates = {}
-    for count, (_, stored) in enumerate(recording.messages((ESTIMATE,), strict=True)):
-        message = decode_of(path, stored, count)
+    for _, _, message in recording.messages((ESTIMATE,)):
         estimates[stamp_of(message) // CONTROL_PERIOD_NS] = error_of(message)
     if not states:
         raise BagEmpty(f'{path}: no states, so there is nothing to repeat', path=path)

@@ -133,12 +133,12 @@ def read_description(folder: Path) -> Mapping[str, Any]:
     """Read ``metadata.yaml`` in ``folder``; the values include ``message_count``.
 
     Raises:
-        BagTruncated: no such file, so the recording was not finished.
+        BagTruncated: no such file, which a recorder writes last.
         BagCorrupt: invalid bag metadata.
     """
     file = folder / METADATA_FILE
     if not file.is_file():
-        text = f'{folder}: no {METADATA_FILE}, so the recording was not finished'
+        text = f'{folder}: no {METADATA_FILE}, which a recorder writes last'
         raise BagTruncated(text, path=folder)
     try:
         with file.open(encoding='utf-8') as stream:

@@ -47,11 +47,3 @@ class BagEmpty(BagError):  # noqa: N818 - the state of the bag
 
 class BagForeign(BagError):  # noqa: N818 - the state of the bag
     """Not a bag, or one of an unsupported kind."""
-
-
-def several_runs(path: Path, one: str, other: str) -> BagForeign:
-    """Error for a bag that contains two runs where one is expected."""
-    return BagForeign(
-        f'{path}: holds several runs, {one} and {other}; split it with: taxinet bag split {path} '
-        '--out DIR', path=path,
-    )

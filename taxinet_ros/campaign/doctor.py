@@ -24,7 +24,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
 from taxinet_ros.campaign.record.content import CampaignContent, read_campaign
-from taxinet_ros.campaign.record.facts import ARM, FACTS
+from taxinet_ros.campaign.record.facts import ARM, FACTS, is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import (
     CSV_NAME,
@@ -36,12 +36,13 @@ from taxinet_ros.campaign.record.table import (
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import DRAFTS
-from taxinet_ros.files.record import RECORD_NAME, Record, read_entry, record_trouble
+from taxinet_ros.files.record import RECORD_NAME, Record, read_entry, read_record, record_trouble
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
 EXPERIMENT_NAME = 'experiment.json'
-_DATASET, _REQUEST = 'dataset.json', 'request.json'
+_DATASET, _PROGRESS = 'dataset.json', 'progress.db'
+_STAGE = 'stage'
 _RESUME = 'the command that made it, with --resume if it has that'
 _DERIVED = ('.html', '.png', '.svg', '.pdf', '.gif', '.mp4', '.xml', '.csv', '.scenic')
 _MOST_NAMED = 6
@@ -119,7 +120,7 @@ def _is_bag(folder: Path) -> bool:
     """Whether a folder is a bag; a stray bag file in a folder with records does not count."""
     if not any(folder.glob(f'*.{STORAGE_ID}')):
         return False
-    kinds = ('.jsonl', '.json', '.parquet')
+    kinds = ('.db', '.json', '.parquet')
     return not any(path.is_dir() or path.suffix in kinds for path in folder.iterdir())
 
 
@@ -141,12 +142,28 @@ def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
 def _check_record(
     folder: Path, found: Examination, on_bag: Callable[[Path], None]
 ) -> None:
-    for path in _files(folder, RECORD_NAME, found):
+    for path in _files(folder, '*.db', found):
         found.count('records', path=path)
         if why := record_trouble(path):
             found.report(path, why, _RESUME)
         elif read_entry(path, FACTS) is not None:
             _check_campaign(folder, found, on_bag)
+        else:
+            _check_stages(folder, read_record(path).get(_STAGE, {}), found)
+
+
+def _check_stages(
+    folder: Path, stages: Mapping[str, Mapping[str, Any]], found: Examination
+) -> None:
+    """Check that the outputs of a study's finished stages exist and are unchanged."""
+    for stage, values in stages.items():
+        for name, digest in values['outputs'].items():
+            output = folder / name
+            found.checked.add(output)
+            if not output.is_file():
+                found.report(output, f'is missing, but was made by stage {stage}', _RESUME)
+            elif file_sha256(output) != digest:
+                found.report(output, f'is not the file made by stage {stage}', _RESUME)
 
 
 def _check_campaign(
@@ -268,7 +285,7 @@ def _check_runs(folder: Path, content: CampaignContent, found: Examination) -> N
         if index is None or index in content.attempts:
             found.notes.append(f'{bag}: a bag without a result in the record{verdict}')
         else:  # the record says before each run that it begins
-            found.report(bag, f'is of run {index}, which the record does not know{verdict}: is the '
+            found.report(bag, f'is of run {index}{verdict}, which the record does not know: is the '
                          f'{RECORD_NAME} an older copy?', _RESUME)
 
 
@@ -280,8 +297,8 @@ def _verdict_of(bag: Path) -> tuple[int | None, str]:
         return None, ''
     if told is None or not told.outcome:
         return None, ''
-    rho = ', '.join(f'{name} {one.interval.upper:+.3f}' for name, one in told.judged.items())
-    return told.index, f'; it says {told.outcome}{f" ({rho})" if rho else ""}'
+    rho = (f'{name} {one.interval.upper:+.3f}' for name, one in told.judged.items())
+    return told.index, f' (it says {", ".join([told.outcome, *rho])})'
 
 
 # Everything else ---------------------------------------------------------------------------------
@@ -299,6 +316,8 @@ def _check_sealed(place: Path, found: Examination) -> None:
             found.report(path, error, _RESUME)
             continue
         found.checked |= {place / name for name in sealed.files}
+        if path.name == EXPERIMENT_NAME:
+            _check_arms(place, sealed.values.get('arms'), found)
         for name, digest in sealed.files.items():
             if not (place / name).is_file():
                 found.report(place / name, f'is missing, but listed in {path.name}', _RESUME)
@@ -306,10 +325,17 @@ def _check_sealed(place: Path, found: Examination) -> None:
                 found.report(place / name, f'is not the file recorded in {path.name}', _RESUME)
 
 
+def _check_arms(place: Path, arms: Any, found: Examination) -> None:
+    """Check that the arms of an experiment are there."""
+    for arm in arms if isinstance(arms, dict) else ():
+        if not is_campaign(place / arm):
+            found.report(place / arm, 'is an arm of the experiment, but no campaign', _RESUME)
+
+
 def _check_pictures(place: Path, found: Examination) -> None:
     """Check a dataset's pictures against its labels."""
     if not (place / _LABELS).is_file():
-        if (place / _REQUEST).is_file() and not (place / _DATASET).is_file():
+        if (place / _PROGRESS).is_file() and not (place / _DATASET).is_file():
             found.notes.append(f'{place}: an unfinished dataset; continue with --resume')
         return
     if not (place / _DATASET).is_file():

@@ -100,7 +100,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'flightgear doctor': ('taxinet flightgear doctor',),
     'xplane doctor': ('taxinet xplane doctor',),
     'bag info': ('taxinet bag info bags/found/RUN',),
-    'bag doctor': ('taxinet bag doctor bags/found/RUN --images',),
+    'bag doctor': ('taxinet bag doctor bags/found/RUN',),
     'bag recover': ('taxinet bag recover broken.mcap --out whole',),
     'bag export': ('taxinet bag export bags/found/RUN --out run.mp4',),
     'bag split': ('taxinet bag split recorded --out runs',),

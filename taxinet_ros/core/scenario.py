@@ -346,7 +346,7 @@ class Scenario:
 
     @property
     def digest(self) -> str:
-        """Key of this scenario in journals of earlier runs: equal for equal scenarios only."""
+        """Key of this scenario in records of earlier runs: equal for equal scenarios only."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:32]
 
     def to_human(self) -> dict[str, Any]:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
+from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.registry import KMWH
+from taxinet_ros.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +43,19 @@ class System:
     world: str = KMWH
     world_sha256: str = ''
 
+    @property
+    def digest(self) -> str:
+        """Digest of all that decides what it does in a scene; files count by their content.
+
+        Raises:
+            UsageError: perception or controller cannot be used.
+        """
+        return digest_of([
+            __version__, check_perception(self.perception), self.controller,
+            check_controller(self.controller, self.gains), dict(self.gains), self.timing.words,
+            self.world, self.world_sha256,
+        ])
+
     def to_json(self) -> dict[str, Any]:
         """Plain values of the system and of what a subclass adds, if that is plain."""
         return {**dataclasses.asdict(self), 'timing': self.timing.words}
@@ -46,3 +64,8 @@ class System:
 def system_values(values: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a system from their plain values; others are left as they are."""
     return {**values, 'timing': parse_timing(values['timing'])}
+
+
+def digest_of(values: Any) -> str:
+    """SHA-256 of plain values."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -40,6 +40,7 @@ _SCHEMA = (
 )
 _BUSY_S = 20.0
 _DIGEST_BYTES = 16
+_MOST_BYTES = 1 << 40
 _LOST = 'lost'
 """Kind of the entry of a record that was damaged, until its command has ended in good order."""
 
@@ -232,15 +233,19 @@ def repair_record(path: Path) -> str:
         except UsageError as error:
             if _is_of_another_version(path):
                 raise
-            why = str(error).removeprefix(f'{path}: ')
-        entries = _intact(path)
+            why = str(error).removeprefix(f'{path}: damaged (').removesuffix(')')
+        draft = path.with_name(f'.{path.stem}.part{path.suffix}')
+        shutil.copyfile(path, draft)
+        _lengthen(draft)
+        entries = _intact(draft)
+        draft.unlink()
         if not entries:
-            raise UsageError(f'{path}: {why}, and no entry of it can be read; choose another --out')
+            raise UsageError(
+                f'{path}: damaged ({why}), and no entry of it can be read; choose another --out'
+            )
         number = 1
         while (copy := path.with_name(f'{path.name}.damaged-{number}')).exists():
             number += 1
-        draft = path.with_name(f'.{path.stem}.part{path.suffix}')
-        draft.unlink(missing_ok=True)
         shutil.copyfile(path, copy)
         with _named(draft):
             connection = _connect(draft, 'rwc')
@@ -339,8 +344,11 @@ def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entr
                     raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
                 number, total = number + 1, _xor(total, digest)
                 values = json.loads(value)
-                make = makers.get(kind)
-                found.setdefault(kind, {})[key] = values if make is None else make(values)
+                try:
+                    made = makers[kind](values) if kind in makers else values
+                except UsageError as error:
+                    raise UsageError(f'{path}: {error}') from error
+                found.setdefault(kind, {})[key] = made
             if _total(connection) != (number, total):
                 raise UsageError(f'{path}: damaged (entries are missing or exchanged)')
         finally:
@@ -352,14 +360,23 @@ def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entr
 _ALL = 'SELECT kind, key, value, digest FROM entries'
 
 
+def _lengthen(path: Path) -> None:
+    """Give a torn file the size that its header says; SQLite reads nothing of a shorter one."""
+    with path.open('rb') as file:
+        header = file.read(32)
+    size = int.from_bytes(header[16:18]) * int.from_bytes(header[28:32])
+    if path.stat().st_size < size < _MOST_BYTES:
+        os.truncate(path, size)
+
+
 def _intact(path: Path) -> list[tuple[str, str, str]]:
     """The entries of a damaged file that can be read and have their digest."""
     found: dict[tuple[str, str], str] = {}
-    for order in ('', ' DESC'):  # from both ends, up to the damage
+    for order in ('', ' DESC'):  # from both ends, up to the damage; the index may be damaged too
         with contextlib.suppress(sqlite3.Error, OSError, UnicodeError), contextlib.closing(
             _connect(path, 'ro')
         ) as connection:
-            rows = connection.execute(f'{_ALL} ORDER BY kind{order}, key{order}')
+            rows = connection.execute(f'{_ALL} NOT INDEXED ORDER BY rowid{order}')
             for kind, key, value, digest in rows:
                 if _is_intact(kind, key, value, digest) and kind != _LOST:
                     found[kind, key] = value
@@ -460,9 +477,9 @@ def _named(path: Path) -> Iterator[None]:
                 raise OSError(code, os.strerror(code), str(path)) from error
         if name.startswith('SQLITE_IOERR'):
             raise disk_error(path, OSError(errno.EIO, str(error))) from error
-        raise UsageError(f'{path}: damaged ({error})') from error
+        raise UsageError(f'{path}: damaged ({error!s:.80})') from error
     except (sqlite3.DatabaseError, UnicodeError) as error:
-        raise UsageError(f'{path}: damaged ({error})') from error
+        raise UsageError(f'{path}: damaged ({error!s:.80})') from error
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """JSON file with a checksum of itself and of other files in or below its folder.
 
-Besides the values, the key ``seal`` holds digests of whole files and the ends of journals; the last
-line, with the key ``checksum``, holds the SHA-256 of all preceding text.
+Besides the values, the key ``seal`` holds digests of files; the last line, with the key
+``checksum``, holds the SHA-256 of all preceding text.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Any
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.journal import JournalEnd, journal_end
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.reading import open_regular, read_file
 
@@ -34,12 +33,10 @@ class SealedJson:
     Attributes:
         values: content without seal and checksum.
         files: SHA-256 of files in the same folder or below, by relative path.
-        journals: ends of journals in the same folder or below, by relative path.
     """
 
     values: dict[str, Any]
     files: Mapping[str, str] = field(default_factory=dict)
-    journals: Mapping[str, JournalEnd] = field(default_factory=dict)
 
     def check_file(self, path: Path, mend: str) -> bool:
         """Check a file against its checksum; return whether it has one.
@@ -59,31 +56,22 @@ class SealedJson:
         return True
 
 
-def sealed_text(
-    values: Mapping[str, Any], files: Mapping[str, str] | None = None,
-    journals: Mapping[str, JournalEnd] | None = None,
-) -> str:
+def sealed_text(values: Mapping[str, Any], files: Mapping[str, str] | None = None) -> str:
     """Text of a sealed file; ``values`` has no keys ``seal`` and ``checksum``."""
-    seal = {'files': dict(files or {}), 'journals': {
-        name: end._asdict() for name, end in (journals or {}).items()
-    }}
+    seal = {'files': dict(files or {})}
     text = json.dumps({**values, _SEAL: seal}, indent=2, default=str).removesuffix('\n}')
     checksum = hashlib.sha256(text.encode()).hexdigest()
     return f'{text},\n  "{_CHECKSUM}": "{checksum}"\n}}\n'
 
 
-def write_sealed(
-    path: Path, values: Mapping[str, Any], files: Iterable[Path] = (),
-    journals: Iterable[Path] = (),
-) -> None:
+def write_sealed(path: Path, values: Mapping[str, Any], files: Iterable[Path] = ()) -> None:
     """Write a sealed file with checksums of files in and below its folder.
 
     Raises:
         OSError: it cannot be written, or one of them cannot be read.
     """
     write_atomically(path, sealed_text(
-        values, {str(one.relative_to(path.parent)): file_sha256(one) for one in files},
-        {str(one.relative_to(path.parent)): journal_end(one) for one in journals},
+        values, {str(one.relative_to(path.parent)): file_sha256(one) for one in files}
     ))
 
 
@@ -106,14 +94,11 @@ def read_sealed(path: Path) -> SealedJson:
             raise TypeError('it is no object')
         del values[_CHECKSUM]
         seal = values.pop(_SEAL)
-        files, journals = dict(seal['files']), {
-            name: JournalEnd(int(end['lines']), str(end['checksum']))
-            for name, end in seal['journals'].items()
-        }
-        paths = [Path(name) for name in (*files, *journals)]
+        files = dict(seal['files'])
+        paths = [Path(name) for name in files]
         if any(path.is_absolute() or '..' in path.parts for path in paths):
             raise ValueError('it lists files outside its folder')
-        return SealedJson(values=values, files=files, journals=journals)
+        return SealedJson(values=values, files=files)
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise _damaged(path, str(error)) from error
 

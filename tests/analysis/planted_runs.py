@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
-from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.campaign.record.facts import FACTS
+from taxinet_ros.files.record import RECORD_NAME, Record
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 
@@ -53,5 +54,11 @@ def planted_runs(table: pd.DataFrame, folder: Path, spec: str | None = None) -> 
     if {'rho', 'rho_phi'} <= set(table.columns):
         table = table.assign(rho=table['rho_phi'])
     table.to_parquet(path, index=False)
-    write_sealed(folder / 'campaign.json', {'runs': len(table)})
+    record_facts(folder, runs=len(table))
     return read_runs(path, spec)
+
+
+def record_facts(folder: Path, **facts: object) -> None:
+    """Give a folder the record of a campaign with these facts, beside a table."""
+    with Record(folder / RECORD_NAME) as record:
+        record.put(FACTS, '', facts)

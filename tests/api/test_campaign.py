@@ -7,7 +7,7 @@ import pytest
 import taxinet_ros as tx
 
 
-def test_given_a_campaign_then_its_rows_and_failures_are_those_of_the_ledger(campaign_folder):
+def test_given_a_campaign_then_its_rows_and_failures_are_those_of_the_record(campaign_folder):
     campaign = tx.open_campaign(str(campaign_folder))
     assert campaign.rows['run_id'].tolist() == ['run-0', 'run-1', 'run-2']
     assert campaign.rows['outcome'].tolist() == ['PASS', 'FAIL', 'PASS']
@@ -31,5 +31,5 @@ def test_given_a_campaign_then_its_rates_are_those_of_its_program(campaign_folde
 
 
 def test_given_a_folder_that_is_no_campaign_then_one_line_says_so(tmp_path):
-    with pytest.raises(tx.UsageError, match=r'not a campaign: no ledger\.jsonl'):
+    with pytest.raises(tx.UsageError, match=r'not a campaign: no campaign\.db'):
         tx.open_campaign(tmp_path)

@@ -157,7 +157,7 @@ def test_given_an_object_of_ones_own_then_its_methods_answer():
     (lambda: tx.falsify('s_falsif', until='tired'), 'until tired: expected'),
     (lambda: tx.falsify('s_falsif', workers=99), 'workers 99: needs to be within'),
     (lambda: tx.falsify('s_falsif', settings={'steering.x': 1}), 'settings steering.x: unknown'),
-    (lambda: tx.falsify('s_falsif', out='no', resume=True), 'resume: no/ledger.jsonl: no such'),
+    (lambda: tx.falsify('s_falsif', out='no', resume=True), 'resume: no/campaign.db: no such'),
 ])
 def test_given_what_cannot_be_then_the_line_speaks_of_parameters_not_of_options(
     call, words, tmp_path, monkeypatch

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
+import random
 import shutil
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 import falsify_samples as toy
@@ -13,13 +13,16 @@ import pytest
 
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.campaign import exit_code
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.search import PATIENCE, search_summary
 from taxinet_ros.cli import main as cli
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.record import record_trouble
 
 
 @pytest.fixture(autouse=True)
@@ -128,7 +131,7 @@ def test_f1_given_a_run_that_others_were_chosen_without_when_retried_then_no_cho
         assert changed.empty
         assert after.loc[4, 'outcome'] in ('PASS', 'FAIL')
         assert after.loc[4, 'u_x'] == before.loc[4, 'u_x']
-    assert json.loads((out / 'campaign.json').read_text())['untold'] == [4]
+    assert read_facts(out)['untold'] == [4]
     toy.finish(toy.options(tmp_path / 'whole', runs=30), judge=break_all(4, but=range(5, 30)))
     whole = read_table(tmp_path / 'whole').set_index('index')
     assert list(after['u_x']) == list(whole['u_x'])
@@ -138,7 +141,7 @@ def test_f1_given_a_run_that_nothing_was_chosen_without_when_retried_then_it_is_
     out, at = tmp_path / 'c', 20 - LAG
     toy.finish(toy.options(out), judge=break_all(at, but=range(at + 1, 20)))
     toy.finish(toy.options(out, runs=40, resume=True))
-    assert 'untold' not in json.loads((out / 'campaign.json').read_text())
+    assert 'untold' not in read_facts(out)
     toy.finish(toy.options(tmp_path / 'whole', runs=40))
     same_but_for_tries(tmp_path / 'whole', out)
 
@@ -158,21 +161,68 @@ def test_f1_given_broken_and_interrupted_runs_when_resumed_for_a_moment_then_all
 
 def test_f1_given_a_folder_in_which_nothing_was_begun_then_resuming_begins(tmp_path):
     toy.finish(toy.options(tmp_path / 'whole'))
-    for number, left in enumerate(((), ('.campaign.part.json',))):
-        out = tmp_path / f'c{number}'
-        (out / 'logs').mkdir(parents=True)
-        for name in left:
-            (out / name).write_text('{"torn')
+    for name in ('logs/worker-1.log', 'campaign.db', 'campaign.db-journal'):
+        path = tmp_path / name[:12] / name
+        path.parent.mkdir(parents=True)
+        path.touch()
+        out = tmp_path / name[:12]
         toy.finish(toy.options(out, resume=True))
         toy.same_table(tmp_path / 'whole', out)
 
 
-def test_f1_given_runs_but_no_ledger_then_resuming_says_what_is_missing(tmp_path):
+def test_f1_given_runs_but_no_record_then_resuming_says_what_is_missing(tmp_path):
     out = tmp_path / 'c'
     toy.finish(toy.options(out))
-    (out / 'ledger.jsonl').unlink()
+    (out / 'campaign.db').unlink()
     with pytest.raises(UsageError, match='so the earlier options are unknown; put it back'):
         toy.finish(toy.options(out, resume=True))
+
+
+def damages(data: bytes) -> Iterator[bytes]:
+    """The record with a page of zeros, a flipped bit, and without its end."""
+    chance = random.Random(3)
+    for page in range(2, len(data) // 4096, 3):
+        yield data[:4096 * page] + bytes(4096) + data[4096 * (page + 1):]
+    for _ in range(12):
+        changed = bytearray(data)
+        changed[chance.randrange(8192, len(data))] ^= 1 << chance.randrange(8)
+        yield bytes(changed)
+    yield from (data[:-1], data[:-4096], data[:len(data) // 2])
+
+
+def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_again(
+    tmp_path, capsys
+):
+    whole, mended = tmp_path / 'whole', 0
+    toy.finish(toy.options(whole))
+    sound = (whole / 'campaign.db').read_bytes()
+    for number, data in enumerate(damages(sound)):
+        out = tmp_path / str(number)
+        shutil.copytree(whole, out)
+        (out / 'campaign.db').write_bytes(data)
+        if not record_trouble(out / 'campaign.db'):
+            continue  # in bytes that nothing uses
+        for read in (read_campaign, read_table, open_campaign):
+            with pytest.raises(UsageError, match=f'^{out}/campaign.db: damaged ') as caught:
+                read(out)
+            assert '\n' not in str(caught.value)
+        capsys.readouterr()
+        with toy.searching(toy.options(out, resume=True)) as search:
+            kept = len(search.book.earlier.rows)
+            search.interrupt()
+        assert f'{out}/campaign.db: damaged ' in capsys.readouterr().err
+        assert (out / 'campaign.db.damaged-1').read_bytes() == data
+        if kept < 20:
+            with pytest.raises(UsageError, match=r'was damaged \(.*continue it .* with --resume'):
+                read_campaign(out)
+        asked: list[int] = []
+        toy.finish(toy.options(out, resume=True), judge=lambda request, asked=asked: (
+            asked.append(request.index) or toy.result(request)))
+        toy.same_table(whole, out)
+        assert record_trouble(out / 'campaign.db') == ''
+        assert len(asked) <= 20 - kept <= (20 if len(data) < len(sound) - 5000 else 3)
+        mended += 1
+    assert mended > 10
 
 
 def test_f1_given_a_kill_amid_a_second_sitting_then_a_third_ends_as_if_nothing_had_been(tmp_path):
@@ -185,22 +235,18 @@ def test_f1_given_a_kill_amid_a_second_sitting_then_a_third_ends_as_if_nothing_h
             shutil.copytree(killed, copy)
             toy.finish(toy.options(copy, resume=True), 2)
             same_but_for_tries(whole, copy)
-            assert len(read_ledger(copy / 'ledger.jsonl').rows) == 20
+            assert len(read_campaign(copy).rows) == 20
     assert number > 5
 
 
-def ledger_moved(out: Path) -> None:
-    (out / 'ledger.jsonl').rename(out.parent / 'elsewhere')
+def record_moved(out: Path) -> None:
+    (out / 'campaign.db').rename(out.parent / 'campaign.db')
 
 
-def ledger_copied_over(out: Path) -> None:
+def record_copied_over(out: Path) -> None:
     """As by a tool that synchronises folders: the same bytes, but another file."""
-    ledger_moved(out)
-    shutil.copy(out.parent / 'elsewhere', out / 'ledger.jsonl')
-
-
-def facts_deleted(out: Path) -> None:
-    (out / 'campaign.json').unlink()
+    record_moved(out)
+    shutil.copy(out.parent / 'campaign.db', out)
 
 
 def folder_replaced(out: Path) -> None:
@@ -213,7 +259,7 @@ def folder_deleted(out: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    'act', [ledger_moved, ledger_copied_over, facts_deleted, folder_replaced, folder_deleted]
+    'act', [record_moved, record_copied_over, folder_replaced, folder_deleted]
 )
 def test_f9_given_a_record_that_is_taken_away_then_the_next_row_ends_the_campaign(act, tmp_path):
     out, told = tmp_path / 'c', []
@@ -233,9 +279,9 @@ def test_f9_given_a_record_that_is_taken_away_then_the_next_row_ends_the_campaig
     assert sum(row.outcome.judged for row in told) in (4, 5), 'the last one is told all the same'
     assert not (out / 'runs.csv').exists()
     assert all(row.bag == row.run_id for row in told if row.outcome.judged), 'wherever it is now'
-    if act in (ledger_moved, ledger_copied_over):
-        kept = read_ledger(tmp_path / 'elsewhere').rows
-        assert len(kept) == len(told)
+    if act in (record_moved, record_copied_over):
+        kept = read_campaign(tmp_path).rows
+        assert len(kept) in (len(told), len(told) - 1)
 
 
 def test_f9_given_a_record_that_is_taken_away_after_the_last_run_then_no_table_is_written(

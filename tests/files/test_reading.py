@@ -25,7 +25,6 @@ from taxinet_ros.core.place.apt_dat import read_airport_place
 from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.user_code import find_user_code
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.journal import read_journal
 from taxinet_ros.files.plain_values import read_yaml
 from taxinet_ros.files.reading import UnfitFileError, open_regular, read_file, read_text
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
@@ -38,7 +37,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     'calibration.npz': read_calibration,
     'card.json': load_card,
     'description.yaml': lambda path: description_of(str(path)),
-    'journal.jsonl': read_journal,
     'labels.csv': lambda path: read_labelled_frames(path.parent),
     'mine.py': lambda path: find_user_code(f'{path}:steer', 'controller'),
     'net.nnet': read_nnet,
@@ -72,7 +70,7 @@ def test_given_what_may_never_end_then_every_reader_refuses_it_by_name(name, kin
 
 
 @pytest.mark.parametrize('name', sorted(set(READERS) - {
-    'a.mcap', 'apt.dat', 'apt.dat.gz', 'journal.jsonl', 'labels.csv', 'sealed.json', 'sum.bin',
+    'a.mcap', 'apt.dat', 'apt.dat.gz', 'labels.csv', 'sealed.json', 'sum.bin',
     'trials.csv',
 }))
 def test_given_a_file_beyond_every_limit_then_it_is_refused_by_its_size(name, tmp_path):

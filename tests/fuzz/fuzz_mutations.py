@@ -43,29 +43,15 @@ def _place(data: bytes, rng: np.random.Generator) -> int:
 
 
 def _flip(data: bytes, rng: np.random.Generator) -> bytes:
-    if not data:
-        return b'\x00'
-    at = int(rng.integers(len(data)))
-    return data[:at] + bytes([data[at] ^ 1 << int(rng.integers(8))]) + data[at + 1:]
+    at = int(rng.integers(len(data) or 1))
+    return data[:at] + bytes([(data[at:] or b'\0')[0] ^ 1 << int(rng.integers(8))]) + data[at + 1:]
 
 
-def _overwrite(data: bytes, rng: np.random.Generator) -> bytes:
-    at, new = _place(data, rng), rng.bytes(int(rng.integers(1, 9)))
-    return data[:at] + new + data[at + len(new):]
-
-
-def _insert(data: bytes, rng: np.random.Generator) -> bytes:
-    at = _place(data, rng)
-    return data[:at] + rng.bytes(int(rng.integers(1, 33))) + data[at:]
-
-
-def _cut(data: bytes, rng: np.random.Generator) -> bytes:
-    at = _place(data, rng)
-    return data[:at] + data[at + int(rng.integers(1, max(2, len(data) // 8))):]
-
-
-def _truncate(data: bytes, rng: np.random.Generator) -> bytes:
-    return data[:_place(data, rng)]
+def _splice(data: bytes, rng: np.random.Generator) -> bytes:
+    """Bytes put in, or none, in the place of none, as many, some, or all that follow."""
+    at, new = _place(data, rng), rng.bytes(int(rng.integers(33)))
+    gone = rng.choice([0, len(new), int(rng.integers(33)), len(data) // 8, len(data)])
+    return data[:at] + new * int(rng.integers(2)) + data[at + int(gone):]
 
 
 def _number(data: bytes, rng: np.random.Generator) -> bytes:
@@ -100,23 +86,15 @@ def _swap(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _line(data: bytes, rng: np.random.Generator) -> bytes:
-    """A line moved, said twice or left out."""
-    lines = data.splitlines(keepends=True)
-    if not lines:
-        return data
+    """A line moved, said twice, left out, or indented otherwise."""
+    lines = data.splitlines(keepends=True) or [b'']
     line = lines.pop(int(rng.integers(len(lines))))
+    if rng.random() < 0.3:
+        line = b'  ' + line if rng.random() < 0.5 else line.lstrip()
     for _ in range(int(rng.integers(3))):
         lines.insert(int(rng.integers(len(lines) + 1)), line)
     return b''.join(lines)
 
 
-def _outdent(data: bytes, rng: np.random.Generator) -> bytes:
-    lines = data.splitlines(keepends=True)
-    if lines:
-        at = int(rng.integers(len(lines)))
-        lines[at] = b'  ' + lines[at] if rng.random() < 0.5 else lines[at].lstrip()
-    return b''.join(lines)
-
-
-_BYTE_EDITS: tuple[Edit, ...] = (_flip, _overwrite, _insert, _cut, _truncate, _number, _repeat)
-_TEXT_EDITS: tuple[Edit, ...] = (_special, _special, _special, _swap, _line, _outdent)
+_BYTE_EDITS: tuple[Edit, ...] = (_flip, _splice, _splice, _number, _repeat)
+_TEXT_EDITS: tuple[Edit, ...] = (_special, _special, _special, _swap, _line)

@@ -18,7 +18,6 @@ import whole_runs
 import yaml
 
 from taxinet_ros.analysis.campaign.folder import SCHEMA, check_folder
-from taxinet_ros.analysis.runs.campaign import facts_beside
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.layout import METADATA_FILE
@@ -28,9 +27,15 @@ from taxinet_ros.campaign.experiment import known_experiments, read_experiment
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
 from taxinet_ros.campaign.options import read_specs
 from taxinet_ros.campaign.record.book import finished_row, run_request
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, campaign_facts
-from taxinet_ros.campaign.record.ledger import Ledger
-from taxinet_ros.campaign.record.resumption import read_earlier_runs
+from taxinet_ros.campaign.record.content import (
+    BEGUN,
+    REQUIREMENT,
+    ROW,
+    read_campaign,
+    run_key,
+)
+from taxinet_ros.campaign.record.facts import FACTS, campaign_facts
+from taxinet_ros.campaign.record.resumption import earlier_runs
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.source import program_text
@@ -38,7 +43,7 @@ from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
 from taxinet_ros.core.perception.weights import SHIPPED, card_path, load_model
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.files.journal import journal_line, read_journal
+from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.files.sealed_json import sealed_text
 
 Use = Callable[[bytes], object]
@@ -96,23 +101,22 @@ def _file(name: str, read: Callable[[Path], object]) -> Callable[[Path], Use]:
     return reader
 
 
-def _ledger_text(folder: Path) -> bytes:
-    """A ledger without checksums, which :func:`_resume` adds, so that nonsense gets beyond them."""
+def _entries(folder: Path) -> bytes:
+    """Entries of a record as one text, without digests, so that nonsense gets beyond them."""
     options = falsify_samples.options(folder).campaign
-    with Ledger(folder / LEDGER_NAME) as ledger:
-        ledger.campaign({**_search_facts(folder)})
-        for index in range(4):
-            scenario = Scenario(cross_track_m=float(index), duration_s=1.0)
-            request = run_request(options, index, scenario, ('perception',))
-            ledger.intent(index, request.run_id, '0' * 64)
-            outcome = Outcome.INFRA_ERROR if index == 3 else None
-            result = falsify_samples.result(request, outcome)
-            ledger.result(finished_row(options, request, result).with_choice(
-                sampler='ce', point={'x': 0.5}, weight=1.0, retries=0
-            ))
-        ledger.requirement('on_runway', 'always(abs(cte) <= 15)', {0: (1.0, 1.0)})
-    events = read_journal(folder / LEDGER_NAME)
-    return b''.join(json.dumps(event).encode() + b'\n' for event in events)
+    rows = {}
+    for index in range(4):
+        scenario = Scenario(cross_track_m=float(index), duration_s=1.0)
+        request = run_request(options, index, scenario, ('perception',))
+        outcome = Outcome.INFRA_ERROR if index == 3 else None
+        result = falsify_samples.result(request, outcome)
+        rows[run_key(index)] = finished_row(options, request, result).with_choice(
+            sampler='ce', point={'x': 0.5}, weight=1.0, retries=0
+        ).to_json()
+    return json.dumps({
+        FACTS: {'': _search_facts(folder)}, ROW: rows, BEGUN: dict.fromkeys(rows, 1),
+        REQUIREMENT: {'on_runway': 'always(abs(cte) <= 15)'},
+    }).encode()
 
 
 def _search_facts(folder: Path) -> dict[str, Any]:
@@ -122,18 +126,26 @@ def _search_facts(folder: Path) -> dict[str, Any]:
 
 
 def _resume(folder: Path) -> Use:
-    """What a resumed search does with a ledger, and an analysis."""
+    """What a resumed search does with the entries of a record, and an analysis."""
     facts = _search_facts(folder)
 
     def use(data: bytes) -> object:
-        (folder / LEDGER_NAME).write_bytes(b'\n'.join(map(_summed, data.split(b'\n'))))
-        return table(read_earlier_runs(folder, facts).rows.values(), ['phi_eventually'])
+        (folder / RECORD_NAME).unlink(missing_ok=True)
+        values = _object(data) or {}
+        with Record(folder / RECORD_NAME) as record:
+            record.put_all([
+                (kind, key, value) for kind, entries in values.items() if isinstance(entries, dict)
+                for key, value in entries.items()
+            ])
+        content = read_campaign(folder)
+        return table(earlier_runs(folder, content, facts).rows.values(), ['phi_eventually'])
     return use
 
 
-def _summed(line: bytes) -> bytes:
-    values = _object(line)
-    return journal_line(values)[:-1] if values else line
+def _record(folder: Path) -> bytes:
+    place = folder / 'example'
+    _resume(place)(_entries(place))
+    return (place / RECORD_NAME).read_bytes()
 
 
 def _sealed(name: str, read: Callable[[Path], object]) -> Callable[[Path], Use]:
@@ -201,10 +213,9 @@ TARGETS: dict[str, Target] = {
         (shipped_folder() / 'experiments' / f'{name}.yaml').read_bytes()
         for name in known_experiments()
     ], _file('mine.yaml', read_experiment)),
-    'ledger': Target(True, lambda folder: [_ledger_text(folder)], _resume),
-    'campaign.json': Target(
-        True, lambda folder: [json.dumps(_search_facts(folder), indent=2).encode()],
-        _sealed(FACTS_NAME, lambda path: facts_beside(path.parent))),
+    'entries of a record': Target(True, lambda folder: [_entries(folder)], _resume),
+    'record': Target(False, lambda folder: [_record(folder)],
+                     _file(RECORD_NAME, lambda path: read_campaign(path.parent))),
     'learned.json': Target(True, _unsealed(_LEARNED.to_json()),
                            _sealed(LEARNED_NAME, lambda path: LearnedResult.read(path.parent))),
     'bench report': Target(True, _jsons(_REPORT), _file('old.json', load_report)),

@@ -12,20 +12,19 @@ from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 import pytest
 from bag_faults import chunk
+from fuzz_mutations import ROUNDS, mutants
+from fuzz_watch import end_of
 from mcap.records import Chunk, Header
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from whole_runs import run_messages, write_run
 
 from taxinet_ros.bag.check.doctor import check_bag
-from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_info, read_messages
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.storage.records import MAGIC, encode
-from taxinet_ros.errors import UsageError
 
 pytestmark = pytest.mark.nightly
 
@@ -44,34 +43,19 @@ def opened(data: bytes) -> bytes:
     return b''.join(get_chunk_data_stream(chunk)[0].read(1 << 30) for chunk in chunks)
 
 
-def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """A few bytes changed, put in or left out."""
-    result = bytearray(data)
-    for _ in range(int(rng.integers(1, 5))):
-        place, length = int(rng.integers(len(result))), int(rng.integers(1, 24))
-        edits: list[Callable[[], bytes]] = [
-            lambda p=place: bytes([result[p] ^ 1 << int(rng.integers(8))]),
-            lambda: bytes([int(rng.choice([0, 127, 128, 255]))]),
-            lambda n=length: rng.bytes(n),
-            lambda: int(rng.integers(2**62)).to_bytes(8, 'little'),
-        ]
-        new = edits[int(rng.integers(len(edits)))]()
-        gone = len(new) if rng.random() < 0.8 else length
-        result[place:place + gone] = new
-    return bytes(result) if result != data else mutated(data, rng)  # what is as before is sound
-
-
 @pytest.fixture
 def files(sound: bytes, tmp_path: Path) -> Callable[[int, int], Iterator[Path]]:
     """Makes mutated files, one at a time in the same place."""
     def make(seed: int, count: int) -> Iterator[Path]:
-        rng, within = np.random.default_rng(seed), opened(sound)
         head, path = MAGIC + encode(Header('ros2', 'x')), tmp_path / 'run_0.mcap'
-        for number in range(count):
-            raw = mutated(within, rng)
-            loose = head + encode(chunk(raw, len(raw), '', crc=0))
-            path.write_bytes(mutated(sound, rng) if number % 3 == 0 else loose)
-            yield path
+        loose = mutants([opened(sound)], count // ROUNDS, seed)
+        whole = mutants([sound], count // ROUNDS, seed)
+        for number, (raw, data) in enumerate(zip(loose, whole, strict=True)):
+            if number % 3:
+                data = head + encode(chunk(raw, len(raw), '', crc=0))
+            if data != sound:
+                path.write_bytes(data)
+                yield path
     return make
 
 
@@ -80,8 +64,8 @@ def test_given_mutated_files_when_read_then_none_passes_for_a_whole_one(
 ) -> None:
     ends = Counter[str]()
     for path in files(20, 600):
-        ends[f'messages {end_of(lambda p: deque(read_messages(p), maxlen=0), path)}'] += 1
-        ends[f'info {end_of(read_info, path)}'] += 1
+        ends[f'messages {end_of(lambda p=path: deque(read_messages(p), maxlen=0))}'] += 1
+        ends[f'info {end_of(lambda p=path: read_info(p))}'] += 1
     assert ends['messages ok'] == 0
     assert min(ends['messages BagCorrupt'], ends['messages BagTruncated'], ends['info ok']) > 60
 
@@ -101,18 +85,7 @@ def test_given_mutated_files_when_used_then_only_typed_errors_come_and_nothing_i
         saved = tmp_path / 'saved' / str(number)
         uses['recover'] = lambda path, saved=saved: recover(path, saved)
         for name, use in uses.items():
-            ends[f'{name} {end_of(use, path)}'] += 1
+            ends[f'{name} {end_of(lambda use=use, path=path: use(path))}'] += 1
     assert ends['tables ok'] == 0
     assert min(ends['tables BagCorrupt'], ends['check ok'], ends['recover ok']) > 5
     assert set(sys.modules) == modules
-
-
-def end_of(use: Callable[[Path], object], path: Path) -> str:
-    """How it ended; whatever is no typed error of one line is raised."""
-    try:
-        use(path)
-    except (BagError, UsageError) as error:
-        if '\n' in str(error):
-            raise
-        return type(error).__name__
-    return 'ok'

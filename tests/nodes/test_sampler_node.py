@@ -9,22 +9,24 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
+from campaign_records import results, write_campaign
 from graph_runs import judged_in, on_own_domain, parameters, request, start_node
 from rclpy.parameter import Parameter
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.record.facts import write_facts
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import is_campaign
+from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.cli.run.search import run_falsify
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.journal import Journal, read_journal
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
 from taxinet_ros.nodes.running.domain import own_domain
@@ -106,16 +108,9 @@ def killing(process: subprocess.Popen[str]) -> Iterator[None]:
         process.kill()
 
 
-def results(out: Path) -> int:
-    ledger = out / 'ledger.jsonl'
-    return ledger.read_text().count('"event":"result"') if ledger.exists() else 0
-
-
-def interrupted(out: Path) -> list[dict[str, Any]]:
-    """Results of the runs that were interrupted, as the ledger keeps them."""
-    events = map(json.loads, (out / 'ledger.jsonl').read_text().splitlines())
-    rows = [event['row'] for event in events if event['event'] == 'result']
-    return [row for row in rows if row['outcome'] == 'INTERRUPTED']
+def interrupted(out: Path) -> list[RunRow]:
+    """Results of the runs that were interrupted, as they are on record."""
+    return [row for row in read_campaign(out).rows if row.outcome is Outcome.INTERRUPTED]
 
 
 def complaint(lines: list[str]) -> str:
@@ -171,7 +166,7 @@ def test_given_an_interrupt_and_a_resumption_then_every_run_on_record_has_its_wh
     # The interrupted run has a bag of its own, unless it was stopped before it was prepared.
     others = names - set(table['run_id'])
     assert others <= {name.removesuffix('.2') for name in begun_anew}
-    assert {row['run_id'] for row in interrupted(searched) if row['steps']} <= others
+    assert {row.run_id for row in interrupted(searched) if row.steps} <= others
 
 
 def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_nothing(
@@ -179,18 +174,9 @@ def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_n
 ):
     out = tmp_path / 'c'
     shutil.copytree(searched, out)
-    events = read_journal(out / 'ledger.jsonl')
-    told = [event['campaign'] for event in events if event['event'] == 'campaign']
-    assert (told[-1]['perception'], told[-1]['perception_sha256']) == ('truth', '')
-    for facts in told:
-        facts['perception_sha256'] = 'ab' * 32
-    for name in ('ledger.jsonl', 'campaign.json'):
-        (out / name).unlink()
-    journal = Journal(out / 'ledger.jsonl')
-    for event in events:
-        journal.append(event)
-    journal.close()
-    write_facts(out, told[-1])
+    content = read_campaign(out)
+    assert (content.facts['perception'], content.facts['perception_sha256']) == ('truth', '')
+    write_campaign(out, content.rows, {**content.facts, 'perception_sha256': 'ab' * 32})
     code, lines = ended(graph.sampler(*SEARCH, 'runs:=13', f'out:={out}', 'resume:=true'))
     assert code == 2, lines
     assert complaint(lines).endswith(
@@ -243,7 +229,7 @@ def test_given_no_simulator_then_one_line_says_so_and_the_search_can_be_resumed(
     assert 'simulator: not found within 0.1 s' in complaint(lines)
     assert f'continue with -p resume:=true -p out:={out}' in complaint(lines)
     assert results(out) == 0
-    assert (out / 'campaign.json').exists()
+    assert is_campaign(out)
 
 
 BAD = {

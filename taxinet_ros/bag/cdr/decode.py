@@ -16,8 +16,8 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from taxinet_ros.bag.errors import BagCorrupt, BagForeign
-from taxinet_ros.bag.topics import TopicInfo, is_type_name
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.bag.topics import TopicInfo, is_type_name, message_definition, type_hash
+from taxinet_ros.errors import UsageError
 
 MAX_DEFINITION_CHARS = 2**17
 """Maximum length of a definition, more than any in ROS; longer ones would take seconds."""
@@ -25,12 +25,6 @@ MAX_FIXED_ARRAY = 4096
 """Maximum elements of a fixed array; code is generated for each element."""
 MAX_PARTS = 10_000
 """Maximum number of fields of a type including nested ones, which could grow exponentially."""
-
-SCENARIO_TYPE = 'taxinet_msgs/msg/Scenario'
-ABSENT = {
-    field.attribute: field.absent for field in SCENARIO_FIELDS if field.absent is not None
-}
-"""Values of scenario message fields that are missing in older recordings."""
 
 
 def decode(topic: TopicInfo, cdr: bytes) -> Any:
@@ -69,7 +63,7 @@ def definition_hash(topic: TopicInfo) -> str:
     Raises:
         BagForeign: no usable definition.
     """
-    store = _typestore(topic.type, topic.definition)
+    store = typestore(topic)
     try:
         return str(store.hash_rihs01(topic.type))
     except Exception as error:  # As in _typestore.
@@ -77,23 +71,41 @@ def definition_hash(topic: TopicInfo) -> str:
 
 
 def typestore(topic: TopicInfo) -> Typestore:
-    """Type store with the topic's type and nested types, from the topic's definition only.
+    """Type store with the topic's type and nested types, from the topic's definition.
+
+    An empty definition is that of a type without fields, such as ``std_msgs/msg/Empty``; a
+    recorder that found no definition leaves it empty, too. Then it is the installed one of the
+    same type hash.
 
     Raises:
         BagForeign: no usable definition.
     """
-    return _typestore(topic.type, topic.definition)
+    if topic.encoding != 'cdr':
+        raise BagForeign(f'topic {topic.name}: messages are {topic.encoding!r}, not cdr')
+    return _typestore(topic.type, topic.definition or _installed(topic.type, topic.type_hash))
+
+
+@lru_cache(maxsize=64)
+def _installed(type_name: str, hash_: str) -> str:
+    """The installed definition of a type whose definition is empty in the bag."""
+    try:
+        text = message_definition(type_name)
+        if hash_ == type_hash(type_name) or not (hash_ or text):
+            return text
+    except UsageError:
+        pass
+    raise BagForeign(f'{type_name}: the bag carries no ros2msg definition of it')
 
 
 @lru_cache(maxsize=64)
 def _typestore(type_name: str, definition: str) -> Typestore:
-    if not definition or len(definition) > MAX_DEFINITION_CHARS:
-        raise BagForeign(f'{type_name}: the bag carries no ros2msg definition of it')
+    if len(definition) > MAX_DEFINITION_CHARS:
+        raise BagForeign(f'{type_name}: its definition has {len(definition)} characters')
     if not is_type_name(type_name):
         raise BagForeign(f'{type_name!r} is not of the form package/msg/Name')
     store = get_typestore(Stores.EMPTY)
     try:
-        types = get_types_from_msg(definition, type_name)
+        types = get_types_from_msg(definition.replace('\r\n', '\n'), type_name)
         _check_size(types, type_name)
         # Without constants: they are not needed, and code is generated from registered types.
         store.register({name: ([], fields) for name, (_, fields) in types.items()})
@@ -133,5 +145,5 @@ def _check_size(types: Mapping[str, Any], type_name: str) -> None:
 
 
 def _line(error: BaseException) -> str:
-    """First line of an error's text, or its type."""
-    return next(iter(str(error).splitlines()), '') or type(error).__name__
+    """An error's text in one line, or its type."""
+    return ' '.join(str(error).split())[:200] or type(error).__name__

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.bag.cdr.decode import ABSENT, SCENARIO_TYPE, decode
+from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import read_info, stored_messages
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.topics import is_of_frames
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
@@ -84,13 +84,14 @@ class TopicComparison:
 
 
 def compare_bags(
-    one: Path, other: Path, *, tolerance: float = 0.0, skip: Collection[str] = ()
+    one: Path | Recording, other: Path | Recording, *, tolerance: float = 0.0,
+    skip: Collection[str] = (),
 ) -> list[TopicComparison]:
     """Compare all messages of two bags.
 
     Args:
-        one: a run folder or an ``.mcap`` file.
-        other: a run folder or an ``.mcap`` file.
+        one: a run folder, an ``.mcap`` file, or a recording.
+        other: the same of the other.
         tolerance: tolerance of floating-point values; 0: bit-identical.
         skip: topics to skip.
 
@@ -101,7 +102,8 @@ def compare_bags(
     Raises:
         BagError, UsageError: a bag cannot be read.
     """
-    counts = [read_info(path).counts for path in (one, other)]
+    bags = [bag if isinstance(bag, Recording) else open_recording(bag) for bag in (one, other)]
+    counts = [bag.info.counts for bag in bags]
     names = [
         name for name in dict.fromkeys([*counts[0], *counts[1]])
         # Bags of taxinet bag split have no transforms; these are redundant with odometry.
@@ -116,7 +118,7 @@ def compare_bags(
     }
     both = {name for name in names if all(found[name].counts)}
     numbers = dict.fromkeys(both, 0)
-    for a, b in _pairs(one, other, both):
+    for a, b in _pairs(bags, both):
         topic = found[a.topic.name]
         _compare(topic, numbers[topic.topic], a, b, tolerance)
         numbers[topic.topic] += 1
@@ -129,12 +131,12 @@ def first_step(topics: Collection[TopicComparison]) -> int | None:
 
 
 def _pairs(
-    one: Path, other: Path, topics: Collection[str]
+    bags: Sequence[Recording], topics: Collection[str]
 ) -> Iterator[tuple[StoredMessage, StoredMessage]]:
     """Pairs of messages with equal topic and number; both bags are read in parallel."""
     wanted = frozenset(topics).__contains__
     waiting: list[dict[str, deque[StoredMessage]]] = [{}, {}]
-    for pair in zip_longest(stored_messages(one, wanted), stored_messages(other, wanted)):
+    for pair in zip_longest(*(bag.whole_messages(wanted) for bag in bags)):
         for side, message in enumerate(pair):
             if message is None:
                 continue
@@ -179,12 +181,14 @@ def _differences(
         yield 'log time', (f'{a.stamp_ns} ns', f'{b.stamp_ns} ns'), math.nan
     if a.topic.type != b.topic.type:
         yield 'type', (a.topic.type, b.topic.type), math.nan
+    if 'cdr' not in (a.topic.encoding, b.topic.encoding):
+        if a.cdr != b.cdr:
+            yield 'bytes', (f'{len(a.cdr)} bytes', f'{len(b.cdr)} bytes'), math.nan
+        return
     one = dict(_leaves('', decode(a.topic, a.cdr)))
     other = dict(_leaves('', decode(b.topic, b.cdr)))
-    # Defaults of fields that older recordings lack.
-    unsaid = ABSENT if a.topic.type == b.topic.type == SCENARIO_TYPE else {}
     for path in dict.fromkeys([*one, *other]):
-        x, y = (leaves.get(path, unsaid.get(path, _ABSENT)) for leaves in (one, other))
+        x, y = (leaves.get(path, _ABSENT) for leaves in (one, other))
         if isinstance(x, np.ndarray) and isinstance(y, np.ndarray):
             yield from _array_difference(path, x, y)
         elif isinstance(x, float) and isinstance(y, float):

@@ -1,103 +1,99 @@
 """All checks of a bag from any recorder.
 
-Checks bytes, metadata and types of the bag; stamps, steps and verdict of each run in it;
-and optionally the camera frames against re-rendered ones.
+Its bytes, its structure (``metadata.yaml`` and types), the lockstep and the verdict of each run in
+it. ``taxinet run --from`` compares frames, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from taxinet_ros.bag.cdr.decode import definition_hash
-from taxinet_ros.bag.check.findings import RECOVER, Check, Finding
-from taxinet_ros.bag.check.lockstep import (
-    RunRecord,
-    check_stamps,
-    check_steps,
-    check_verdict,
-    run_record,
-    run_records,
-)
-from taxinet_ros.bag.description import VERSION, read_description, words_beside
-from taxinet_ros.bag.errors import BagEmpty, BagError, BagTruncated
+from taxinet_ros.bag.check.findings import RECOVER, RERUN, Check, Finding
+from taxinet_ros.bag.check.lockstep import check_run, checked_runs
+from taxinet_ros.bag.description import VERSION, read_description
+from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
-from taxinet_ros.bag.run.topics import IMAGE
-from taxinet_ros.bag.run.trace import Frame
+from taxinet_ros.bag.run.runs import is_run_topic
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.bag.writer import RUN_METADATA
-from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_yaml
 
 
-def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
+def _check_bytes(info: BagInfo) -> Check:
     """Check that all checksums are valid and the file is complete."""
-    count = sum(info.counts.values())
     return Check(
-        name='bytes', looked_at=f'{count} messages; {info.unchecked}' if info.unchecked else
-        f'{count} messages under the checksums of chunks, data and summary',
+        name='bytes', looked_at=f'{info.count} messages; {info.unchecked}' if info.unchecked else
+        f'{info.count} messages under the checksums of chunks, data and summary',
         findings=tuple(
             Finding(where=_place(error), what=_without_place(error), mend=RECOVER)
-            for error in damage
+            for error in info.damage
         ),
     )
 
 
-def check_description(info: BagInfo, *, sound: bool) -> Check:
-    """Check ``metadata.yaml`` against the storage files; ``sound``: whether these are intact."""
-    if info.path.is_file():
-        why = f'a single file has no {METADATA_FILE}'
-        return Check(name='description', looked_at=why, skipped=True)
-    try:
-        description = read_description(info.path)
-    except BagError as error:
-        missing = 'missing, so the recording was not finished'
-        what = missing if isinstance(error, BagTruncated) else _without_path(error)
-        found = (Finding(where=METADATA_FILE, what=what, mend=RECOVER),)
-        return Check(name='description', looked_at=METADATA_FILE, findings=found)
-    wrong = [
-        Finding(where=METADATA_FILE, what=what, mend=RECOVER)
-        for what in _contradictions(info, description, sound=sound)
-    ]
+def _place(error: BagError) -> str:
+    file = error.path.name if error.path is not None else ''
+    return f'{file}, byte {error.offset}' if error.offset >= 0 else file
+
+
+def _without_place(error: BagError) -> str:
+    return str(error).removeprefix(f'{error.path}: ').removeprefix(f'at byte {error.offset}: ')
+
+
+def _check_structure(recording: Recording) -> Check:
+    """Check ``metadata.yaml``, the definitions of all topics, and that messages match them."""
+    info, others = recording.info, list[str]()
+    described = info.path.is_dir() and not info.damage
+    found = [*_description_troubles(info)] if described else []
+    for topic in info.topics:
+        found += _topic_troubles(topic, others)
+    if not recording.plain:  # A message that cannot be decoded belongs to no run.
+        found += [Finding(where=info.path.name, what=str(error), mend=RERUN)
+                  for error in recording.damage[len(info.damage):]]
+    what = f'{METADATA_FILE}, definitions' if described else 'definitions'
     return Check(
-        name='description', looked_at=f'{METADATA_FILE} matches the file',
-        findings=tuple(wrong),
+        name='structure', looked_at=f'{what} and type hashes of {len(info.topics)} topics'
+        + (f'; not checked: {", ".join(others)}' if others else ''), findings=tuple(found),
     )
 
 
-def check_types(info: BagInfo) -> Check:
-    """Check that definitions are usable and match their type hashes, and QoS profiles are valid."""
-    found = [
-        Finding(where=topic.name, what=what)
-        for topic in info.topics for what in _topic_troubles(topic)
-    ]
-    return Check(
-        name='types', looked_at=f'definition, type hash and QoS of {len(info.topics)} topics',
-        findings=tuple(found),
-    )
-
-
-def _topic_troubles(topic: TopicInfo) -> Iterator[str]:
+def _topic_troubles(topic: TopicInfo, others: list[str]) -> Iterator[Finding]:
+    """Findings on a topic; one that is not of a run may have any form, and is added to others."""
     try:
         found = definition_hash(topic)
         if topic.type_hash and topic.type_hash != found:
-            yield f'type hash {topic.type_hash} is not that of the definition, {found}'
+            what = f'type hash {topic.type_hash} is not that of the definition, {found}'
+            yield Finding(where=topic.name, what=what, mend=RERUN)
+        if topic.qos:
+            qos_profiles(topic.qos)
     except BagError as error:
-        yield str(error)
-    try:
-        qos_profiles(topic.qos)
+        if topic.encoding == 'cdr' and is_run_topic(topic.name):
+            yield Finding(where=topic.name, what=str(error), mend=RERUN)
+        else:
+            others.append(f'{topic.name} ({topic.type or topic.encoding})')
     except ValueError as error:
-        yield f'QoS: {error}'
+        yield Finding(where=topic.name, what=f'QoS: {error}', mend=RECOVER)
 
 
-def _contradictions(info: BagInfo, told: Mapping[str, Any], *, sound: bool) -> Iterator[str]:
+def _description_troubles(info: BagInfo) -> Iterator[Finding]:
+    """Contradictions between ``metadata.yaml`` and the storage files, which are intact."""
+    try:
+        told = read_description(info.path)
+        for what in _contradictions(info, told):
+            yield Finding(where=METADATA_FILE, what=what, mend=RECOVER)
+    except BagError as error:
+        what = str(error).removeprefix(f'{error.path}: ')
+        yield Finding(where=METADATA_FILE, what=what, mend=RECOVER)
+
+
+def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
     version = told.get('version')
     if not isinstance(version, int) or not 0 < version <= VERSION:
         yield f'version is {_short(version)}; known up to {VERSION}'
@@ -105,18 +101,12 @@ def _contradictions(info: BagInfo, told: Mapping[str, Any], *, sound: bool) -> I
     # rosbag2 unpacks a compressed file next to it, but metadata.yaml still names the original.
     if told.get('relative_file_paths') not in (files, [f'{name}.zstd' for name in files]):
         yield f'relative_file_paths is {_short(told.get("relative_file_paths"))}, not {files}'
-    count = sum(info.counts.values())
-    if told.get('message_count') != count:
-        yield f'message_count is {_short(told.get("message_count"))}, in the bag {count}'
-    words = info.metadata.get(RUN_METADATA)
-    if words is not None and sound:
-        beside = words_beside(info.path, words)
+    if told.get('message_count') != info.count:
+        yield f'message_count is {_short(told.get("message_count"))}, in the bag {info.count}'
+    if RUN_METADATA in info.metadata:
         inner = _inner(info)
         for key in dict.fromkeys([*inner, *told]):
-            value = told.get(key)
-            if key == 'custom_data' and isinstance(value, Mapping):
-                value = {name: text for name, text in value.items() if name not in beside}
-            if value != inner.get(key):
+            if _comparable(key, told.get(key), inner) != _comparable(key, inner.get(key), inner):
                 yield f'{_short(key)} differs from the description within the file'
 
 
@@ -128,68 +118,21 @@ def _inner(info: BagInfo) -> Mapping[str, Any]:
         return {}
 
 
+def _comparable(key: str, value: Any, inner: Mapping[str, Any]) -> Any:
+    """A value of a description without what may differ: names of files, words of one side only."""
+    if key == 'relative_file_paths':
+        return None
+    if key == 'files' and isinstance(value, list):
+        return [{**one, 'path': ''} if isinstance(one, dict) else one for one in value]
+    if key == 'custom_data' and isinstance(value, Mapping):  # ros2 bag reindex leaves it empty
+        known = inner.get(key) or {}
+        return {name: (value or known).get(name) for name in known}
+    return value
+
+
 def _short(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f'{text[:57]}...'
-
-
-def _place(error: BagError) -> str:
-    file = error.path.name if error.path is not None else ''
-    return f'{file}, byte {error.offset}' if error.offset >= 0 else file
-
-
-def _without_path(error: BagError) -> str:
-    return str(error).removeprefix(f'{error.path}: ')
-
-
-def _without_place(error: BagError) -> str:
-    return _without_path(error).removeprefix(f'at byte {error.offset}: ')
-
-
-def check_recorded_frames(recording: Recording) -> Check:
-    """Render the recorded frames of a bag again and compare every byte."""
-    try:
-        again = recorded_world(recording.path, recording.run).again_words
-        if again:
-            return Check(name='frames', looked_at=f'not compared: {again}', skipped=True)
-        return _compared_frames(recording)
-    except (BagError, UsageError) as error:
-        return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)
-
-
-def _compared_frames(recording: Recording) -> Check:
-    recorded = equal = 0
-    lost, findings = '', list[Finding]()
-    states = recording.observations()
-    for frame in recording.frames(render=False):
-        recorded += 1
-        try:
-            here = () if lost else (one.image for one in states if one.seq == frame.seq)
-            now = next(iter(here), None)
-        except WorldDiffers as error:
-            lost, now = str(error), None
-        if now is None:
-            lost = lost or f'step {frame.seq} has a frame but no recorded state'
-        elif now.shape == frame.image.shape and now.tobytes() == frame.image.tobytes():
-            equal += 1
-        elif not findings:
-            what = f'the first different frame: {_difference(frame.image, now)}'
-            findings.append(Finding(where=f'step {frame.seq}', what=what))
-    if not recorded:
-        return Check(name='frames', looked_at='no frames to compare', skipped=True)
-    if lost:
-        findings.append(Finding(where=f'/{IMAGE}', what=lost))
-    return Check(
-        name='frames', findings=tuple(findings), looked_at=f'{equal} of {recorded} equal '
-        f're-rendered ones{"" if findings else ", bit for bit"}',
-    )
-
-
-def _difference(recorded: Frame, rendered: Frame) -> str:
-    if recorded.shape != rendered.shape:
-        return f'its shape is {recorded.shape}, re-rendered {rendered.shape}'
-    away = np.abs(recorded.astype(np.int16) - rendered.astype(np.int16)).max(axis=2)
-    return f'{np.count_nonzero(away)} pixels differ, by up to {away.max()} of 255'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,42 +161,8 @@ def check_bag(path: Path) -> Checkup:
         BagForeign, UsageError: as ``reader.read_messages``.
     """
     recording = open_recording(path)
-    info, damage = recording.info, recording.damaged_places
-    if damage and not any(info.counts.values()):
-        raise BagEmpty(str(damage[0]), path=path)
-    return Checkup(
-        info=info,
-        checks=(
-            check_bytes(info, damage),
-            check_description(info, sound=not damage),
-            check_types(info),
-            *_run_checks(recording),
-        ),
-    )
-
-
-def _run_checks(recording: Recording) -> Iterator[Check]:
-    if recording.plain or not recording.runs:
-        topics = [topic.name for topic in recording.topics]
-        yield from _checks_of(recording, run_record(recording), topics, '')
-        return
-    yield Check(
-        name='messages', looked_at="every message matches its topic's type",
-        findings=tuple(
-            Finding(where=recording.path.name, what=str(error)) for error in recording.broken
-        ),
-    )
-    # Topics that do not belong to a run are not checked.
-    records = run_records(recording)
-    for run, one, record in zip(recording.runs, recording, records, strict=True):
-        if not run.absent:
-            yield from _checks_of(one, record, list(record.counts), f'{run.name}: ')
-
-
-def _checks_of(
-    recording: Recording, record: RunRecord, topics: Sequence[str], of: str
-) -> Iterator[Check]:
-    for check in (
-        check_stamps(record), check_steps(record, topics), check_verdict(record, recording)
-    ):
-        yield replace(check, looked_at=f'{of}{check.looked_at}')
+    info = recording.info
+    if info.damage and not info.count:
+        raise BagEmpty(str(info.damage[0]), path=path)
+    runs = chain.from_iterable(map(check_run, checked_runs(recording)))
+    return Checkup(info=info, checks=(_check_bytes(info), _check_structure(recording), *runs))

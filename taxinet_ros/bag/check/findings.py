@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 RECOVER = 'taxinet bag recover {bag} --out NEW'
 """Command that copies intact messages to a new bag; the bag's path is filled in."""
+RERUN = 'taxinet run --from {bag}'
+"""Command that runs the recorded scene again; the bag's path is filled in."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,10 +8,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from taxinet_ros.bag.cdr.decode import decode
-from taxinet_ros.bag.check.findings import Check, Finding, ranges
+from taxinet_ros.bag.check.findings import RERUN, Check, Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.message_values import (
     reading_values,
@@ -49,24 +49,25 @@ from taxinet_ros.errors import UsageError
 MOST_STEPS = 100_000
 """Maximum number of steps checked; runs are much shorter."""
 _KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
+_JUDGED = (Outcome.PASS, Outcome.FAIL)
 
 
 @dataclass
 class RunRecord:
-    """Data of a run by step, and findings on its messages.
+    """Data of a run by step, and what is wrong with its messages.
 
     Attributes:
         once: messages of topics that do not publish in every step, by relative name, in order.
         counts: number of messages by topic name and step.
         robustness: interval by step and formula name.
-        stamps: findings on stamps and contents.
+        wrong: invalid messages by topic name: the first, and their number.
     """
 
     once: dict[str, list[Any]] = field(default_factory=dict)
     counts: dict[str, dict[int, int]] = field(default_factory=dict)
     robustness: dict[int, dict[str, RobustnessInterval]] = field(default_factory=dict)
-    stamps: list[Finding] = field(default_factory=list)
-    latest: dict[str, int] = field(default_factory=dict)
+    wrong: dict[str, tuple[str, int]] = field(default_factory=dict)
+    _latest: dict[str, int] = field(default_factory=dict)
 
     @property
     def scenario(self) -> Any:
@@ -85,22 +86,24 @@ class RunRecord:
         told = self.once.get(RUN_STATUS, ())
         return next((m for m in told if m.state == RUN_ENDED), None)
 
+    @property
+    def judged(self) -> bool:
+        """Whether the run ended with a verdict."""
+        return self.ending is not None and self.ending.outcome in _JUDGED
+
     def note(self, stored: StoredMessage) -> None:
-        """Process a message; problems of the message itself become findings."""
+        """Add a message."""
         name, stamp = stored.topic.name, stored.stamp_ns
-        latest = self.latest.get(name, 0)  # no run begins before 0
-        if stamp < latest:
-            self._wrong(name, stamp, f'{name}: stamp goes back from {latest} ns')
-        self.latest[name] = max(stamp, latest)
         try:
-            message = decode(stored.topic, stored.cdr)
-        except BagError as error:
-            self._wrong(name, stamp, str(error))
-            return
-        try:
-            self._keep(name, stamp, message)
-        except (AttributeError, TypeError, ValueError, struct.error) as error:
-            self._wrong(name, stamp, f'{name}: {error}')
+            self._keep(name, stamp, decode(stored.topic, stored.cdr))
+            latest = self._latest.get(name, 0)  # no run begins before 0
+            if stamp < latest:
+                raise ValueError(f'stamp goes back from {latest} ns')
+            self._latest[name] = stamp
+        except (BagError, AttributeError, TypeError, ValueError, struct.error) as error:
+            first = f'at {stamp / NS_PER_S:.3f} s: {error}'
+            before, count = self.wrong.get(name, (first, 0))
+            self.wrong[name] = before, count + 1
 
     def _keep(self, name: str, stamp: int, message: Any) -> None:
         once = next((topic for topic in ONCE if is_topic(name, topic)), None)
@@ -110,71 +113,118 @@ class RunRecord:
                 told.append(message)
             return
         step = stamp // CONTROL_PERIOD_NS
-        if step > MOST_STEPS:
+        if not 0 <= step <= MOST_STEPS:
             return
         steps = self.counts.setdefault(name, {})
         steps[step] = steps.get(step, 0) + 1
         header = getattr(message, 'header', None)
         if header is not None and stamp_of(message) != stamp:
-            self._wrong(name, stamp, f'{name}: header stamp is {stamp_of(message)} ns')
+            raise ValueError(f'header stamp is {stamp_of(message)} ns')
         if is_topic(name, ROBUSTNESS):
             reading = RobustnessInterval(float(message.rho_lower), float(message.rho_upper))
             self.robustness.setdefault(step, {})[str(message.spec)] = reading
 
-    def _wrong(self, name: str, stamp: int, what: str) -> None:
-        if len(self.stamps) < MOST_STEPS:
-            where = f'{name} at {stamp / NS_PER_S:.3f} s'
-            self.stamps.append(Finding(where=where, what=what.removeprefix(f'{name}: ')))
+    def last_seq(self) -> int:
+        """Last control step that must be complete: the last; of an aborted run, the one before.
+
+        In an unfinished free run, only judged steps count, because unanswered frames are settled
+        later. -1 if there is none.
+        """
+        if self.free and not self.judged:
+            return max(self.robustness, default=-1)
+        if self.ending is None:
+            return max((step for steps in self.counts.values() for step in steps), default=0) - 1
+        return min(int(self.ending.seq) - (not self.judged), MOST_STEPS)
+
+    def stepped(self, topics: Collection[str]) -> Iterator[tuple[str, int, bool]]:
+        """Topics published in every step, their messages per step, and whether steps may lack.
+
+        Args:
+            topics: names of the published topics.
+        """
+        for topic in topics:
+            if not any(is_topic(topic, once) for once in ONCE):
+                number = len(self.scenario.specs) if is_topic(topic, ROBUSTNESS) else 1
+                answer = any(is_topic(topic, name) for name in (ESTIMATE, COMMAND))
+                yield topic, number, self.free and answer
+
+    def whole_steps(self) -> int:
+        """Number of complete control steps."""
+        counts = [(self.counts[topic], each) for topic, each, may_lack in self.stepped(self.counts)
+                  if not may_lack]
+        numbers = {step for steps, _ in counts for step in steps}
+        return sum(all(steps.get(step, 0) >= each for steps, each in counts) for step in numbers)
 
 
-def run_record(recording: Recording) -> RunRecord:
-    """Record of the run in a recording; damage is skipped."""
-    record = RunRecord()
-    for stored in recording.all_messages():
-        record.note(stored)
-    return record
+class CheckedRun(NamedTuple):
+    """A run of a recording: its name if there are several, its recording, its record."""
+
+    name: str
+    recording: Recording
+    record: RunRecord
 
 
-def run_records(recording: Recording) -> list[RunRecord]:
-    """Records of all runs in a recording, with messages by their header stamps."""
-    records = [RunRecord() for _ in recording.runs]
+def checked_runs(recording: Recording) -> list[CheckedRun]:
+    """Records of all runs in a recording, by their header stamps; damage is skipped.
+
+    The recording itself, with its log times, if it is as the recorder of taxinet_ros logs it.
+    """
+    if recording.plain or not recording.runs:
+        found = [CheckedRun('', recording, RunRecord())]
+        for stored in recording.all_messages():
+            found[0].record.note(stored)
+        return found
+    found = [
+        CheckedRun(run.name, one, RunRecord())
+        for run, one in zip(recording.runs, recording, strict=True)
+    ]
     for number, stored in recording.messages_of_runs(whole=True):
-        records[number].note(stored)
-    return records
+        found[number].record.note(stored)
+    return [one for run, one in zip(recording.runs, found, strict=True) if not run.absent]
 
 
-def check_stamps(record: RunRecord) -> Check:
-    """Check that stamps never decrease and that header stamps match log times."""
-    found = record.stamps
-    more = Finding(where=f'and {len(found) - 5} more', what='as these')
-    return Check(
-        name='stamps', looked_at='every message decodes, and time never goes back',
-        findings=tuple(found) if len(found) <= 6 else (*found[:5], more),
-    )
+def check_run(run: CheckedRun) -> tuple[Check, ...]:
+    """Check stamps and control steps of a run, and its verdict."""
+    _, recording, record = run
+    # Topics of a recording that do not belong to a run are not checked.
+    topics = record.counts if run.name else [topic.name for topic in recording.topics]
+    of = f'{run.name}: ' if run.name else ''
+    checks = _check_steps(record, topics, bool(recording.info.damage)), _verdict(record, recording)
+    return tuple(replace(check, looked_at=f'{of}{check.looked_at}') for check in checks)
 
 
-def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
-    """Check that every control step is complete, with the right number of messages per topic.
+def _check_steps(record: RunRecord, topics: Collection[str], damaged: bool) -> Check:
+    """Check that time never goes back and that every control step is complete.
 
     Args:
         record: record of the run.
         topics: names of the published topics.
+        damaged: whether the bag is damaged, so that it may lack the end of the run.
     """
+    found = [
+        Finding(where=name, what=first + (f', and {count - 1} more' if count > 1 else ''))
+        for name, (first, count) in record.wrong.items()
+    ]
     truth = any(is_topic(name, TRUTH) for name in record.counts)
-    if record.scenario is None and truth:
-        lost = Finding(where=SCENARIO, what='0 messages, not 1; nothing tells what was run')
-        return Check(name='steps', looked_at='control steps of a run', findings=(lost,))
     if record.scenario is None:
-        return Check(name='steps', looked_at='no taxinet_ros scenario in it', skipped=True)
-    last = last_seq(record)
+        if not truth:
+            looked_at = 'no taxinet_ros scenario in it'
+            return Check(name='lockstep', looked_at=looked_at, findings=tuple(found),
+                         skipped=not found)
+        what = '0 messages, not 1; nothing tells what was run'
+        found.append(Finding(where=SCENARIO, what=what))
+        return Check(name='lockstep', looked_at='control steps', findings=tuple(found))
+    last = record.last_seq()
+    found += _once_troubles(record, damaged)
     if last < 0 and record.ending is None and not truth:
-        found = [*_once_troubles(record), Finding(where=f'/{TRUTH}', what='no control steps')]
-        return Check(name='steps', looked_at='no truth', findings=tuple(found))
-    found = [*_once_troubles(record), *_step_troubles(record, topics, last)]
+        found.append(Finding(where=f'/{TRUTH}', what='no control steps', mend=RERUN))
+    else:
+        found += _step_troubles(record, topics, last)
     return Check(
-        name='steps', looked_at=f'{last + 1} control steps, every topic in each'
-        + (_unanswered(record, last) if record.free else ''),
-        findings=tuple(found),
+        name='lockstep', looked_at=f'{last + 1} control steps, every topic in each'
+        + (_unanswered(record, last) if record.free else '')
+        + ('' if record.ending is not None else '; the end of the run is not recorded'),
+        findings=tuple(replace(one, mend=RERUN) for one in found),
     )
 
 
@@ -184,45 +234,30 @@ def _unanswered(record: RunRecord, last: int) -> str:
     return f'; a free run: {last + 1 - len(answered)} without an answer'
 
 
-def last_seq(record: RunRecord) -> int:
-    """Last control step that must be complete: the run's last; if aborted, the one before.
-
-    In an unfinished free run, only judged steps count, because unanswered frames are settled later.
-    -1 if there is none.
-    """
-    if record.free and (record.ending is None or record.ending.outcome not in ('PASS', 'FAIL')):
-        return max(record.robustness, default=-1)
-    if record.ending is None:
-        return max((step for steps in record.counts.values() for step in steps), default=0) - 1
-    seq = int(record.ending.seq)
-    return min(seq if record.ending.outcome in ('PASS', 'FAIL') else seq - 1, MOST_STEPS)
-
-
-def _once_troubles(record: RunRecord) -> Iterator[Finding]:
-    ending = record.ending
-    judged = ending is not None and ending.outcome in ('PASS', 'FAIL')
+def _once_troubles(record: RunRecord, damaged: bool) -> Iterator[Finding]:
     expected = {SCENARIO: 1, RUN_STATUS: 1}
-    if judged:
+    if record.judged:
         # The simulator reports only in runs whose answers are not immediate.
         told = {str(status.node) for status in record.once.get(NODE_STATUS, ())}
         nodes = {*map(str, record.scenario.participants), *(told & {SIMULATOR})}
         expected |= {VERDICT: 1, NODE_STATUS: len(nodes)}
     for topic, number in expected.items():
         there = len(record.once.get(topic, ()))
-        if there != number:
-            why = 'the bag ends before the run does' if topic == RUN_STATUS else ''
-            yield Finding(where=topic, what=f'{there} messages, not {number}; {why}'.rstrip('; '))
+        if there > number or (there < number and not damaged):
+            why = '; the bag ends before the run does' if topic == RUN_STATUS else ''
+            yield Finding(where=topic, what=f'{there} messages, not {number}{why}')
 
 
 def _step_troubles(
     record: RunRecord, topics: Collection[str], last: int
 ) -> Iterator[Finding]:
     lacking: dict[str, list[str]] = {}
-    for topic, each in _stepped(record, topics):
+    for topic, each, may_lack in record.stepped(topics):
+        if topic in record.wrong:
+            continue
         steps = record.counts.get(topic, {})
         missing = ranges(step for step in range(last + 1) if steps.get(step, 0) < each)
         twice = ranges(step for step, count in steps.items() if count > each)
-        may_lack = record.free and any(is_topic(topic, name) for name in (ESTIMATE, COMMAND))
         if missing and not may_lack:
             lacking.setdefault(missing, []).append(topic)
         if twice:
@@ -231,39 +266,16 @@ def _step_troubles(
         yield Finding(where=f'step {steps_without}', what=f'without {", ".join(names)}')
 
 
-def _stepped(record: RunRecord, topics: Collection[str]) -> Iterator[tuple[str, int]]:
-    """Topics published in every step, with their number of messages per step."""
-    for topic in topics:
-        if not any(is_topic(topic, once) for once in ONCE):
-            number = len(record.scenario.specs) if is_topic(topic, ROBUSTNESS) else 1
-            yield topic, number
-
-
-def whole_steps(record: RunRecord, topics: Collection[str]) -> int:
-    """Number of complete control steps of a run."""
-    counts = [
-        (record.counts.get(topic, {}), each) for topic, each in _stepped(record, topics)
-        if not (record.free and any(is_topic(topic, name) for name in (ESTIMATE, COMMAND)))
-    ]
-    numbers = {step for steps, _ in counts for step in steps}
-    return sum(all(steps.get(step, 0) >= each for steps, each in counts) for step in numbers)
-
-
-def check_verdict(record: RunRecord, recording: Recording) -> Check:
-    """Check that judging the recorded truth reproduces the recorded robustness bit for bit.
-
-    Args:
-        record: record of the run.
-        recording: recording of that run only.
-    """
+def _verdict(record: RunRecord, recording: Recording) -> Check:
+    """Check that judging the recorded truth reproduces the recorded robustness bit for bit."""
     if record.scenario is None:
         return Check(name='verdict', looked_at='no taxinet_ros scenario in it', skipped=True)
-    steps, found = verdict_findings(record, recording)
+    steps, found = _verdict_findings(record, recording)
     if not steps and not found:
         return Check(name='verdict', looked_at='no steps to judge', skipped=True)
     return Check(
         name='verdict', looked_at=f'robustness from the recorded truth of {steps} steps, '
-        'bit for bit', findings=tuple(found),
+        'bit for bit', findings=tuple(replace(one, mend=RERUN) for one in found),
     )
 
 
@@ -283,19 +295,15 @@ def _check_fields(once: str, message: Any) -> None:
             _ = str(spec.spec), float(spec.rho_lower), float(spec.rho_upper)
 
 
-def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list[Finding]]:
-    """Judge the recorded samples and compare.
-
-    Args:
-        record: record of the run.
-        recording: recording of that run only.
+def _verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list[Finding]]:
+    """Judge the recorded samples.
 
     Returns:
         Number of steps judged, and findings where the result differs from the recorded one.
     """
     try:
         judge = _judge(record)
-        samples = _whole(recording.samples, last_seq(record) + 1)
+        samples = _whole(recording.samples, record.last_seq() + 1)
         pairs = zip(samples.stamps_ns, samples.samples, strict=True)
         readings = [judge.push(stamp_ns, sample) for stamp_ns, sample in pairs]
     except (BagError, UsageError, AttributeError, TypeError, ValueError, OverflowError) as error:
@@ -312,9 +320,9 @@ def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list
         if wrong:
             found.append(Finding(
                 where=f'step {wrong}', what=f'{spec.name}: the recorded interval differs'))
-    if steps <= last_seq(record):
+    if steps <= record.last_seq():
         found.append(Finding(where=f'step {steps}', what='no samples from here on'))
-    elif steps:
+    elif steps and record.ending is not None:
         found += _verdict_troubles(record, specs, judge.judgement)
     return steps, found
 
@@ -359,7 +367,7 @@ def _verdict_troubles(
             words = f'recorded {_words(ends)}, from the truth {_words(now.interval)}'
             texts.append(f'{spec.name}: {words}')
         else:
-            values = reading_values(spec, now, run_id, last_seq(record))
+            values = reading_values(spec, now, run_id, record.last_seq())
             texts += [f'{spec.name}: {text}' for text in _differences(one, values)]
     texts += [
         f'{name}: recorded {_words(_interval(one))}, from the truth {_words(None)}'

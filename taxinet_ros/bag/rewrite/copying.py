@@ -6,33 +6,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 from mcap.records import Attachment, Metadata
 
 from taxinet_ros.bag.cdr.decode import definition_hash
 from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagCorrupt, BagError
-from taxinet_ros.bag.reader import BagInfo, intact_records
+from taxinet_ros.bag.reader import BagInfo, records
 from taxinet_ros.bag.run.topics import ONCE, is_topic
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, check_topics, qos_profiles
 from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter, is_own_manifest
 from taxinet_ros.errors import UsageError
-
-
-class NamedMessage(NamedTuple):
-    """A message to be written: name of its topic, log time, bytes, publish time [ns]."""
-
-    topic: str
-    stamp_ns: int
-    cdr: bytes
-    published_ns: int
-
-
-def named_message(stored: StoredMessage) -> NamedMessage:
-    """A recorded message, to be written as it is."""
-    return NamedMessage(stored.topic.name, stored.stamp_ns, stored.cdr, stored.published_ns)
 
 
 @contextmanager
@@ -63,7 +48,7 @@ def copy_of(
             bag.add_metadata(record.name, record.metadata)
 
 
-def written_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> Iterator[int]:
+def written_steps(bag: BagWriter, messages: Iterable[StoredMessage]) -> Iterator[int]:
     """Write messages with separate chunks for each control step, like the recorder.
 
     Yields:
@@ -71,17 +56,17 @@ def written_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> Iterator[
     """
     before: int | None = None
     for topic, stamp_ns, cdr, published_ns in messages:
-        now = None if any(is_topic(topic, name) for name in ONCE) else stamp_ns
+        now = None if any(is_topic(topic.name, name) for name in ONCE) else stamp_ns
         if before is not None and now != before:
             bag.flush()
             yield before
         before = now
-        bag.write(topic, cdr, stamp_ns, published_ns)
+        bag.write(topic.name, cdr, stamp_ns, published_ns)
     if before is not None:
         yield before
 
 
-def write_steps(bag: BagWriter, messages: Iterable[NamedMessage]) -> None:
+def write_steps(bag: BagWriter, messages: Iterable[StoredMessage]) -> None:
     """Write all steps; see :func:`written_steps`."""
     for _ in written_steps(bag, messages):
         pass
@@ -114,7 +99,7 @@ def _besides_messages(source: Path) -> tuple[list[Attachment], list[Metadata]]:
     Names may be repeated: another recorder's may mean a sequence by that.
     """
     attachments, metadata = [], []
-    for record in intact_records(source):
+    for record in records(BagInfo(path=source)):
         if isinstance(record, Attachment) and not (
             record.name == MANIFEST and is_own_manifest(record.data)
         ):

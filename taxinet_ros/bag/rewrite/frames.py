@@ -15,13 +15,8 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.errors import BagForeign, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
-from taxinet_ros.bag.reader import BagInfo, stored_messages
-from taxinet_ros.bag.rewrite.copying import (
-    NamedMessage,
-    copy_of,
-    named_message,
-    written_steps,
-)
+from taxinet_ros.bag.reader import BagInfo
+from taxinet_ros.bag.rewrite.copying import copy_of, written_steps
 from taxinet_ros.bag.run import topics
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
@@ -58,7 +53,7 @@ def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
         BagError, UsageError: the bag cannot be read.
     """
     frames = _Frames(recording)
-    for message in stored_messages(recording.path, (IMAGE, CAMERA_INFO).__contains__):
+    for message in recording.whole_messages((IMAGE, CAMERA_INFO).__contains__):
         seq = message.stamp_ns // CONTROL_PERIOD_NS
         cdr = message.cdr if message.topic.name == IMAGE else frames.missing(message)
         if cdr is not None:
@@ -87,8 +82,10 @@ def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) 
     if info.trouble:
         raise UsageError(f'{info.trouble}; repair it first: taxinet bag recover {source} --out NEW')
     try:
-        with copy_of(info, folder, _topics(info), min_free_bytes) as bag:
-            for stamp_ns in written_steps(bag, _with_frames(recording)):
+        topics = _topics(info)
+        image = next(topic for topic in topics if topic.name == IMAGE)
+        with copy_of(info, folder, topics, min_free_bytes) as bag:
+            for stamp_ns in written_steps(bag, _with_frames(recording, image)):
                 yield stamp_ns // CONTROL_PERIOD_NS
     except WorldDiffers:
         shutil.rmtree(folder)  # It would look like an unfinished recording.
@@ -149,11 +146,10 @@ def _topics(info: BagInfo) -> list[TopicInfo]:
     return topics
 
 
-def _with_frames(recording: Recording) -> Iterator[NamedMessage]:
+def _with_frames(recording: Recording, image: TopicInfo) -> Iterator[StoredMessage]:
     """All messages, with each frame before its camera info."""
     frames = _Frames(recording)
-    for message in stored_messages(recording.path):
-        copied = named_message(message)
-        if copied.topic == CAMERA_INFO and (frame := frames.missing(message)) is not None:
-            yield copied._replace(topic=IMAGE, cdr=frame)
-        yield copied
+    for message in recording.all_messages():
+        if message.topic.name == CAMERA_INFO and (frame := frames.missing(message)) is not None:
+            yield message._replace(topic=image, cdr=frame)
+        yield message

@@ -10,14 +10,8 @@ from pathlib import Path
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.reader import intact_records, read_contents
-from taxinet_ros.bag.rewrite.copying import (
-    NamedMessage,
-    copy_of,
-    named_message,
-    storable_topic,
-    write_steps,
-)
+from taxinet_ros.bag.reader import BagInfo, read_info, records
+from taxinet_ros.bag.rewrite.copying import copy_of, storable_topic, write_steps
 from taxinet_ros.bag.storage.reader import StoredMessage, read_statistics
 from taxinet_ros.bag.writer import BagSummary
 
@@ -60,26 +54,26 @@ def recover(source: Path, folder: Path) -> Recovery:
         BagForeign, UsageError: as ``reader.read_messages`` and :class:`BagWriter`.
         BagWriteError: the new bag does not fit on the disk.
     """
-    contents = read_contents(source, lambda topic: 0)
-    info = contents.info
-    if not any(info.counts.values()):
+    info = read_info(source)
+    if not info.count:
         raise BagEmpty(f'{source}: nothing can be recovered: {info.trouble or "no messages"}',
                        path=source)
-    damage = [str(error) for _, error in contents.damage]
+    damage = [str(error) for error in info.damage]
     storable = (storable_topic(topic, damage.append) for topic in info.topics)
     topics = {topic.name: topic for topic in storable if topic is not None}
+    if not topics:
+        raise BagEmpty(f'{source}: nothing can be recovered: {damage[0]}', path=source)
+    declared = {topic.name: (topic.type, topic.type_hash) for topic in info.topics}
     other: Counter[tuple[str, str]] = Counter()
 
-    def messages() -> Iterator[NamedMessage]:
-        for record in intact_records(source):
+    def messages() -> Iterator[StoredMessage]:
+        for record in records(BagInfo(path=source)):
             if isinstance(record, StoredMessage) and record.topic.name in topics:
-                declared = contents.topics[record.topic.name]
-                if (record.topic.type, record.topic.type_hash) == (
-                    declared.type, declared.type_hash
-                ):
-                    yield named_message(record)
+                name, kind = record.topic.name, (record.topic.type, record.topic.type_hash)
+                if kind == declared[name]:
+                    yield record
                 else:  # another recorder's topic may have several types
-                    other[declared.name, record.topic.type] += 1
+                    other[name, kind[0]] += 1
 
     size = sum(file.stat().st_size for file in storage_files(source))
     with copy_of(info, folder, list(topics.values()), size) as bag:
@@ -91,7 +85,7 @@ def recover(source: Path, folder: Path) -> Recovery:
     return Recovery(
         bag=bag.summary, damage=tuple(damage), declared=_declared(source),
         unchecked=info.unchecked, damaged_files=tuple(
-            error.path for _, error in contents.damage
+            error.path for error in info.damage
             if isinstance(error, BagCorrupt) and error.path is not None
         ),
     )

@@ -10,7 +10,7 @@ from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.bag.rewrite.copying import NamedMessage, storable_topic, write_steps
+from taxinet_ros.bag.rewrite.copying import storable_topic, write_steps
 from taxinet_ros.bag.run.message_values import scenario_json
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, outcome_words
@@ -78,8 +78,8 @@ def _write_run(
         attachments={'scenario.json': scenario_json(scenario)}, min_free_bytes=0,
     ) as bag:
         write_steps(bag, (
-            NamedMessage(topic.name, stamp_ns, canonical.message(topic.name, cdr), stamp_ns)
-            for topic, stamp_ns, cdr, _ in sorted(messages, key=_place)
+            stored._replace(cdr=canonical.message(stored.topic.name, stored.cdr))
+            for stored in sorted(messages, key=_place)
         ))
         for stored in messages:
             if stored.topic.name == f'/{RUN_STATUS}':

@@ -6,15 +6,14 @@ An incomplete bag is read as far as it goes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.description import words_beside
-from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.bag.reader import BagInfo, decode_of
+from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.topics import (
     NODE_READY,
@@ -26,7 +25,6 @@ from taxinet_ros.bag.run.topics import (
     SIMULATOR,
     VERDICT,
 )
-from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.writer import FORK_METADATA, FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.motion.controller import is_steering_law, parse_gains
 from taxinet_ros.core.mtl import RobustnessInterval
@@ -73,24 +71,13 @@ class RecordedRun:
 def recorded_run(recording: Recording) -> RecordedRun:
     """See :attr:`.recording.Recording.run`."""
     path = recording.path
-    scenario: Any = None
-    kinds: dict[str, Any] = {}
-    for count, (topic, stored) in enumerate(recording.messages((SCENARIO, NODE_STATUS))):
-        message = decode_of(path, stored, count)
-        if topic == NODE_STATUS:
-            kinds.setdefault(message.node, message)
-        elif scenario is None:
-            scenario = message
-        else:
-            raise several_runs(path, scenario.run_id, message.run_id)
+    scenario, reports = _head(recording)
     if scenario is None:
-        for error in recording.damaged_places:
-            raise error
-    if scenario is None:
+        recording.check_damage()
         raise BagEmpty(f'{path}: no message on /scenario, so its run is unknown', path=path)
     try:
-        eyes, law = kinds.get('perception'), kinds.get('steering_controller')
-        world = kinds.get(SIMULATOR)
+        eyes, law = reports.get('perception'), reports.get('steering_controller')
+        world = reports.get(SIMULATOR)
         words = law.implementation if law else ''
         ours = is_steering_law(words)
         return RecordedRun(
@@ -111,6 +98,17 @@ def recorded_run(recording: Recording) -> RecordedRun:
         raise UsageError(f'{path}: {error}') from error
 
 
+def _head(recording: Recording) -> tuple[Any, dict[str, Any]]:
+    """The scenario message, or None, and the report of each node that was ready, by its name."""
+    scenario, reports = None, dict[str, Any]()
+    for topic, _, message in recording.messages((SCENARIO, NODE_STATUS)):
+        if topic == SCENARIO:
+            scenario = message
+        elif getattr(message, 'state', None) == NODE_READY:
+            reports.setdefault(str(getattr(message, 'node', '')), message)
+    return scenario, reports
+
+
 def _request(message: Any) -> RunRequest:
     if not is_run_name(message.run_id):
         raise ValueError(f'run_id {message.run_id!r} is not a valid folder name')
@@ -121,7 +119,7 @@ def _request(message: Any) -> RunRequest:
     )
 
 
-_FACT_TOPICS = (SCENARIO, NODE_STATUS, RUN_STATUS, VERDICT, ROBUSTNESS)
+_NOT_ENDED = SimpleNamespace(outcome='', kind='', who='', detail='')
 _NO_FIGURES = frozenset({'header', 'run_id', 'specs', 'complete', 'satisfied'})
 
 
@@ -190,10 +188,40 @@ class RunFacts:
 
 def run_facts(recording: Recording) -> RunFacts | None:
     """See :attr:`.recording.Recording.facts`."""
-    told = _FactsReader(recording.path)
-    for relative, stored in recording.messages(_FACT_TOPICS):
-        told.note(relative, stored)
-    return told.facts()
+    scenario, reports = _head(recording)
+    if scenario is None:
+        return None
+    told = {topic: message for topic, _, message in recording.messages((RUN_STATUS, VERDICT))
+            if topic == VERDICT or getattr(message, 'state', None) == RUN_ENDED}
+    readings = [message for _, _, message in recording.messages((ROBUSTNESS,))]
+    verdict, ended = told.get(VERDICT), told.get(RUN_STATUS, _NOT_ENDED)
+    try:
+        readings += verdict.specs if verdict else []
+        return RunFacts(
+            run_id=str(scenario.run_id), program=str(scenario.program), seed=int(scenario.seed),
+            index=int(scenario.index), scene=scenario_of(scenario).to_human(),
+            specs=tuple(map(str, scenario.specs)),
+            nodes={node: NodeFacts(
+                implementation=str(report.implementation), fingerprint=str(report.fingerprint),
+                origin=str(report.detail),
+            ) for node, report in reports.items()},
+            outcome=str(ended.outcome), kind=str(ended.kind), who=str(ended.who),
+            detail=str(ended.detail),
+            steps=max((int(reading.seq) for reading in readings), default=-1) + 1,
+            judged={str(reading.spec): _judged(reading) for reading in readings},
+            figures=_figures(verdict) if verdict else {},
+        )
+    except (AttributeError, TypeError, ValueError, OverflowError, UsageError) as error:
+        text = f'{recording.path}: facts of the run: {error}'
+        raise BagCorrupt(text, path=recording.path) from error
+
+
+def _judged(reading: Any) -> RecordedRobustness:
+    return RecordedRobustness(
+        formula=str(reading.formula), final=bool(reading.final), interval=RobustnessInterval(
+            float(reading.rho_lower), float(reading.rho_upper)
+        ),
+    )
 
 
 def made_on(info: BagInfo) -> Provenance:
@@ -222,78 +250,6 @@ def free_account(info: BagInfo) -> FreeRunAccount | None:
     except (KeyError, ValueError) as error:
         text = f'{info.path}: metadata {FREE_RUN_METADATA}: {error}'
         raise BagForeign(text, path=info.path) from error
-
-
-@dataclass
-class _FactsReader:
-    """Collects facts from the messages of a run."""
-
-    path: Path
-    scenario: dict[str, Any] | None = None
-    nodes: dict[str, NodeFacts] = field(default_factory=dict)
-    ending: dict[str, str] = field(default_factory=dict)
-    judged: dict[str, RecordedRobustness] = field(default_factory=dict)
-    figures: dict[str, float | bool] = field(default_factory=dict)
-    last_seq: int = -1
-
-    def note(self, relative: str, stored: StoredMessage) -> None:
-        """Process a message."""
-        message = decode(stored.topic, stored.cdr)
-        try:
-            self._note(relative, message)
-        except (AttributeError, TypeError, ValueError, OverflowError, UsageError) as error:
-            text = f'{self.path}: topic {stored.topic.name}: {error}'
-            raise BagCorrupt(text, path=self.path) from error
-
-    def _note(self, relative: str, message: Any) -> None:
-        if relative == SCENARIO:
-            before, self.scenario = self.scenario, _scenario(message)
-            if before is not None:
-                raise several_runs(self.path, before['run_id'], self.scenario['run_id'])
-        elif relative == NODE_STATUS:
-            if message.state == NODE_READY:
-                self.nodes[str(message.node)] = NodeFacts(
-                    implementation=str(message.implementation),
-                    fingerprint=str(message.fingerprint), origin=str(message.detail),
-                )
-        elif relative == RUN_STATUS:
-            if message.state == RUN_ENDED:
-                words = ('outcome', 'kind', 'who', 'detail')
-                self.ending = {word: str(getattr(message, word)) for word in words}
-        elif relative == VERDICT:
-            for spec in message.specs:
-                self._judge(spec)
-            self.figures = _figures(message)
-        else:
-            self._judge(message)
-
-    def facts(self) -> RunFacts | None:
-        """Facts collected so far, or None without a scenario."""
-        if self.scenario is None:
-            return None
-        told = self.ending.get
-        return RunFacts(
-            **self.scenario, nodes=self.nodes, outcome=told('outcome', ''), kind=told('kind', ''),
-            who=told('who', ''), detail=told('detail', ''), steps=self.last_seq + 1,
-            judged=self.judged, figures=self.figures,
-        )
-
-    def _judge(self, robustness: Any) -> None:
-        self.last_seq = max(self.last_seq, int(robustness.seq))
-        self.judged[str(robustness.spec)] = RecordedRobustness(
-            formula=str(robustness.formula), interval=RobustnessInterval(
-                float(robustness.rho_lower), float(robustness.rho_upper)
-            ), final=bool(robustness.final),
-        )
-
-
-def _scenario(message: Any) -> dict[str, Any]:
-    scenario = scenario_of(message)
-    return {
-        'run_id': str(message.run_id), 'program': str(message.program), 'seed': int(message.seed),
-        'index': int(message.index), 'scene': scenario.to_human(),
-        'specs': tuple(map(str, message.specs)),
-    }
 
 
 def _figures(verdict: Any) -> dict[str, float | bool]:

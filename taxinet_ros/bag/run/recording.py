@@ -13,28 +13,22 @@ any perception and controller. A bag of several runs is a sequence of recordings
     for run in open_recording('rosbag2_2026_11_23'):
         print(run.name, run.facts.outcome)
 
-All messages except images are kept in memory, as bytes; each view decodes what it needs on first
-use. Only camera frames, and tables of topics outside the run, need another pass.
+All messages except images are kept in memory, as bytes, and decoded once. Only camera frames, and
+tables of topics outside the run, need another pass.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from taxinet_ros.arguments import FLAG, TEXT, WHOLE, Kind, takes
-from taxinet_ros.bag.errors import BagEmpty, BagError
-from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import (
-    BagInfo,
-    Contents,
-    intact_records,
-    read_contents,
-    stored_messages,
-)
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.errors import BagEmpty, BagError, BagForeign
+from taxinet_ros.bag.reader import BagInfo, read_contents, records, stored_messages
 from taxinet_ros.bag.run.runs import (
     RunPart,
     RunsWithin,
@@ -71,9 +65,17 @@ class Within(NamedTuple):
 
     whole: Recording
     number: int
-    part: RunPart
 
 
+class Decoded(NamedTuple):
+    """A message of a run: name of its topic without a namespace, as stored, and its object."""
+
+    relative: str
+    stored: StoredMessage
+    message: Any
+
+
+@lru_cache(maxsize=256)
 def _bytes_to_keep(topic: str) -> int:
     """Number of bytes kept of each message on a topic, see :func:`.read_contents`."""
     relative = topic_parts(topic)[0]
@@ -108,31 +110,29 @@ class Recording(Sequence['Recording']):
     Attributes:
         path: as given.
         name: name of the run if it is one of several, see :class:`.RunPart`; else ''.
+        info: the bag's contents: topics, counts, times [ns], metadata, attachments; of one run of
+            several, those of the run.
     """
 
-    def __init__(self, contents: Contents, within: Within | None = None) -> None:
+    def __init__(self, info: BagInfo, within: Within | None = None) -> None:
         """``within``: position in a recording of several runs, for one of its runs."""
-        self.path = contents.path
-        self.name = within.part.name if within is not None else ''
-        self._contents = contents
+        self.path = info.path
+        self.info = info
+        self.name = within.whole.runs[within.number].name if within is not None else ''
         self._within = within
+        self._decoded: dict[int, Any] = within.whole._decoded if within is not None else {}
 
     # ---- the bag -----------------------------------------------------------------------------
-
-    @cached_property
-    def info(self) -> BagInfo:
-        """The bag's table of contents: topics, counts, times [ns], metadata, attachments."""
-        return self._contents.info if self._within is None else self._within.whole.info
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
         """Topics in the order of the file."""
-        return tuple(self._contents.topics.values())
+        return self.info.topics
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
         """Metadata records by name; the last one if a name is repeated."""
-        return self._contents.metadata if self._within is None else self._within.whole.metadata
+        return self.info.metadata
 
     @property
     def complete(self) -> bool:
@@ -140,35 +140,15 @@ class Recording(Sequence['Recording']):
         return self.info.complete
 
     @property
-    def finished(self) -> bool:
-        """Whether the recorder closed the bag; always True for a single file."""
-        return self.path.is_file() or (self.path / METADATA_FILE).is_file()
-
-    @property
-    def unchecked(self) -> str:
-        """One line about messages not covered by a checksum, or ''."""
-        return self._contents.unchecked
-
-    @property
     def damage(self) -> tuple[BagError, ...]:
-        """All damage: damaged places, then invalid messages."""
-        return (*self.damaged_places, *self._apart.broken)
-
-    @property
-    def damaged_places(self) -> tuple[BagError, ...]:
-        """Damaged places of the files."""
-        return tuple(error for _, error in self._contents.damage)
-
-    @property
-    def broken(self) -> tuple[BagError, ...]:
-        """Errors of messages that do not match their topic's definition."""
-        return self._apart.broken
+        """All damage: damaged places, then messages that do not match their topic's definition."""
+        return (*self.info.damage, *self._apart.broken)
 
     # ---- its runs ----------------------------------------------------------------------------
 
     @cached_property
     def _apart(self) -> RunsWithin:
-        return tell_runs_apart(self._contents)
+        return tell_runs_apart(self.info, self.decode)
 
     @property
     def runs(self) -> tuple[RunPart, ...]:
@@ -184,6 +164,23 @@ class Recording(Sequence['Recording']):
     def plain(self) -> bool:
         """Whether it is exactly one run, logged like by the recorder of taxinet_ros."""
         return self._apart.plain
+
+    @cached_property
+    def one(self) -> Recording:
+        """The recording of its only run, in the recorder's form; itself if it has no run.
+
+        Raises:
+            BagForeign: a recording of several runs.
+        """
+        if self._within is not None:
+            return self
+        if len(self.runs) > 1:
+            first, second = self.runs[:2]
+            raise BagForeign(
+                f'{self.path}: holds several runs, {first.name} and {second.name}; split it with: '
+                f'taxinet bag split {self.path} --out DIR', path=self.path,
+            )
+        return self if self.plain or not self.runs else self[0]
 
     @cached_property
     def _messages_by_run(self) -> Sequence[list[StoredMessage]]:
@@ -223,32 +220,39 @@ class Recording(Sequence['Recording']):
 
     # ---- its messages ------------------------------------------------------------------------
 
-    def messages(
-        self, relative: Collection[str], *, strict: bool = False
-    ) -> Iterator[tuple[str, StoredMessage]]:
-        """Messages on topics of a run, in recording order; images are truncated.
+    def decode(self, stored: StoredMessage) -> Any:
+        """Decode a message of :attr:`info`, once; do not change the object.
+
+        Raises:
+            BagCorrupt, BagForeign: the message does not match its topic's definition.
+        """
+        key = id(stored.cdr)  # The bytes are kept in ``info``.
+        if key not in self._decoded:
+            try:
+                self._decoded[key] = decode(stored.topic, stored.cdr)
+            except BagError as error:
+                text = f'{self.path}: at {stored.stamp_ns} ns: {error}'
+                raise type(error)(text, path=self.path) from error
+        return self._decoded[key]
+
+    def messages(self, relative: Collection[str]) -> Iterator[Decoded]:
+        """Decoded messages of the only run on some topics, in recording order.
 
         Args:
             relative: names of the topics without a namespace, see :mod:`.topics`.
-            strict: whether to raise damage at its position.
-
-        Yields:
-            Relative name of the topic, and the stored message.
 
         Raises:
-            BagTruncated, BagCorrupt: damage, with ``strict``; all messages before it were yielded.
+            BagForeign: a recording of several runs.
+            BagCorrupt: a message does not match its topic's definition.
         """
-        damage = self._contents.damage[:1] if strict else []
-        names = {
-            topic.name: name for topic in self.topics
-            if (name := topic_parts(topic.name)[0]) in relative
-        }
-        messages = self._contents.messages
-        for stored in messages[:damage[0][0]] if damage else messages:
-            name = stored.topic.name
-            if name in names:
-                yield names[name], stored
-        for _, error in damage:
+        for stored in self.one.info.messages:
+            name = topic_parts(stored.topic.name)[0]
+            if name in relative:
+                yield Decoded(name, stored, self.decode(stored))
+
+    def check_damage(self) -> None:
+        """Raise the first damage of the files, if any."""
+        for error in self.info.damage:
             raise error
 
     def messages_of_runs(
@@ -261,7 +265,7 @@ class Recording(Sequence['Recording']):
             wanted: whether a run (by number) needs a topic (by relative name).
             whole: whether to include complete images, which needs another pass.
         """
-        messages = self.all_messages() if whole else self._contents.messages
+        messages = self.all_messages() if whole else self.info.messages
         return messages_of_runs(messages, self._apart, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
@@ -270,13 +274,14 @@ class Recording(Sequence['Recording']):
         For one run of several: its messages in the recorder's form.
         """
         if self._within is not None:
-            whole, number = self._within.whole, self._within.number
+            whole, number = self._within
             mine = whole.messages_of_runs(lambda run, _: run == number, whole=True)
             return (stored for _, stored in mine)
         if all(_bytes_to_keep(name) == sys.maxsize for name, n in self.info.counts.items() if n):
-            return iter(self._contents.messages)
-        found = intact_records(self.path)
-        return (record for record in found if isinstance(record, StoredMessage))
+            return iter(self.info.messages)
+        found = records(BagInfo(path=self.path))
+        return (record for record in found
+                if isinstance(record, StoredMessage) and record.topic.encoding == 'cdr')
 
     def whole_messages(self, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
         """Complete messages on any topics, including images; needs another pass.
@@ -286,12 +291,8 @@ class Recording(Sequence['Recording']):
         """
         if self._within is None:
             return stored_messages(self.path, wanted)
-        whole, number = self._within.whole, self._within.number
-        mine = messages_of_runs(
-            stored_messages(self.path), whole._apart,
-            lambda run, topic: run == number and wanted(f'/{topic}'),
-        )
-        return (stored for _, stored in mine)
+        self.check_damage()
+        return (stored for stored in self.all_messages() if wanted(stored.topic.name))
 
     # ---- its runs as recordings ---------------------------------------------------------------
 
@@ -314,14 +315,15 @@ class Recording(Sequence['Recording']):
         return self._of(range(len(self.runs))[key])
 
     def _of(self, number: int) -> Recording:
-        messages = self._messages_by_run[number]
-        # The position of damage among the messages of one run is unknown.
-        damage = [(0, error) for error in self.damaged_places]
-        contents = Contents(
-            self.path, messages=messages, damage=damage, unchecked=self.unchecked,
-            topics={stored.topic.name: stored.topic for stored in messages},
+        info = BagInfo(
+            path=self.path, metadata=self.info.metadata, damage=self.info.damage,
+            unchecked=self.info.unchecked, _trouble=self.info.trouble,
         )
-        return Recording(contents, Within(self, number, self.runs[number]))
+        for stored in self._messages_by_run[number]:
+            if stored.topic.name not in info.counts:
+                info.note(stored.topic, _bytes_to_keep)
+            info.note(stored, lambda topic: sys.maxsize)
+        return Recording(info, Within(self, number))
 
     @cached_property
     def made_on(self) -> Provenance:

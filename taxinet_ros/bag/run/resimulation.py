@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.errors import BagEmpty, BagError, BagForeign
-from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.facts import RecordedRun, free_account
 from taxinet_ros.bag.run.message_values import command_of, stamp_of
 from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
@@ -121,9 +120,8 @@ def states_and_commands(
     """
     states: dict[int, dict[str, float]] = {}
     commands: dict[int, TaxiCommand] = {}
-    messages = recording.messages((ODOMETRY, COMMAND), strict=True)
-    for count, (topic, stored) in enumerate(messages):
-        message = decode_of(recording.path, stored, count)
+    recording.check_damage()
+    for topic, _, message in recording.messages((ODOMETRY, COMMAND)):
         try:
             seq = stamp_of(message) // CONTROL_PERIOD_NS
             if topic == ODOMETRY:
@@ -131,7 +129,7 @@ def states_and_commands(
             else:
                 commands[seq] = command_of(message)
         except (AttributeError, TypeError, ValueError) as error:
-            text = f'{recording.path}: topic {stored.topic.name}: {error}'
+            text = f'{recording.path}: topic {topic}: {error}'
             raise BagForeign(text, path=recording.path) from error
     return states, commands
 

@@ -18,9 +18,9 @@ from itertools import chain
 from typing import Any
 
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
-from taxinet_ros.bag.cdr.decode import decode, typestore
+from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import Contents
+from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.topics import (
     CAMERA_INFO,
     CLOCK,
@@ -120,25 +120,26 @@ class RunsWithin:
     broken: tuple[BagError, ...]
 
 
-def tell_runs_apart(contents: Contents) -> RunsWithin:
+def tell_runs_apart(info: BagInfo, decode: Callable[[StoredMessage], Any]) -> RunsWithin:
     """Determine the runs in a bag.
 
     Args:
-        contents: contents of the bag, with all messages on topics of a run; the first bytes are
+        info: contents of the bag, with all messages on topics of a run; the first bytes are
             sufficient for images.
+        decode: decodes one of its messages.
     """
     broken: list[BagError] = []
-    index = _RunsReader()
-    for stored in contents.messages:
+    index = _RunsReader(decode)
+    for stored in info.messages:
         try:
             index.note(stored)
         except BagError as error:  # An invalid message belongs to no run.
-            broken.append(type(error)(f'{contents.path}: {error}', path=contents.path))
+            broken.append(error)
             index.broken.add(len(index.owners) - 1)
     # Transforms are ignored: those of a run are derived from odometry.
     others = any(
-        count and not topic_parts(name)[0] and not is_of_frames(name)
-        for name, count in contents.counts.items()
+        info.counts[topic.name] and not is_of_frames(topic.name)
+        and (topic.encoding != 'cdr' or not topic_parts(topic.name)[0]) for topic in info.topics
     )
     return index.found(tuple(broken), others=others)
 
@@ -175,7 +176,8 @@ def messages_of_runs(
 class _RunsReader:
     """Collects runs from the messages of a bag."""
 
-    def __init__(self) -> None:
+    def __init__(self, decode: Callable[[StoredMessage], Any]) -> None:
+        self._decode = decode
         self.owners: list[int] = []
         self.runs: list[RunPart] = []
         self.broken: set[int] = set()
@@ -202,7 +204,7 @@ class _RunsReader:
             stretches[-1].last_ns = stamp_ns
             self._restamped |= stamp_ns != stored.stamp_ns
             return
-        message = decode(stored.topic, stored.cdr)
+        message = self._decode(stored)
         run_id = getattr(message, 'run_id', None)
         if not isinstance(run_id, str):
             return  # another package's topic of the same name

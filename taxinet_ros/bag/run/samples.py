@@ -9,9 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
-from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.run.message_values import (
     HeldCommand,
     assumptions_of,
@@ -58,7 +56,6 @@ _TOPIC_OF_SIGNAL = {
     'unusable_share': ESTIMATE, 'clearance': ODOMETRY, 'collision': ODOMETRY,
 }
 """Topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
-_READ = frozenset({SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()})
 
 
 class RecordedReading(NamedTuple):
@@ -130,6 +127,9 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return struct.pack('<2d', *one) == struct.pack('<2d', *other)
 
 
+_UNREADABLE = (BagError, AttributeError, TypeError, ValueError, ArithmeticError, UsageError)
+
+
 def run_samples(
     recording: Recording, names: Collection[str] | None = None
 ) -> list[RunSamples]:
@@ -147,40 +147,9 @@ def run_samples(
         BagEmpty: the bag ends before the scenario of the run.
         BagForeign: not a run of this package.
     """
-    reader = _read_plain(recording, names)
-    if reader is not None and reader.scenario is not None and recording.finished:
-        return [_samples(recording.path, reader, '', '')]
-    return _read_runs(recording, names)
-
-
-_UNREADABLE = (BagError, AttributeError, TypeError, ValueError, ArithmeticError, UsageError)
-
-
-class _NotPlainError(Exception):
-    """The bag is not a single run as logged by the recorder of taxinet_ros."""
-
-
-def _read_plain(recording: Recording, names: Collection[str] | None) -> _SamplesReader | None:
-    """Fast path for regular recordings of one run; None for others."""
-    if recording.damaged_places or recording.unchecked:
-        return None
-    reader = _SamplesReader(names, plain=True)
-    try:
-        for relative, stored in recording.messages(_READ):
-            if reader.wants(relative):
-                reader.note(relative, stored)
-    except (_NotPlainError, *_UNREADABLE):
-        return None
-    return reader
-
-
-def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunSamples]:
-    """General path: separates runs and reports damage."""
     path = recording.path
     trouble = [str(error) for error in recording.damage]
-    if not recording.finished:
-        trouble.append(f'{path}: no {METADATA_FILE}, so the recording was not finished')
-    readers = [_SamplesReader(names) for _ in recording.runs]
+    readers = [_SamplesReader(recording, names) for _ in recording.runs]
     if all(run.scenario is None for run in recording.runs):
         kind = BagEmpty if trouble else BagForeign
         raise kind(f'{path}: no message on {SCENARIO}, so its run is unknown', path=path)
@@ -199,7 +168,7 @@ def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunS
                 trouble.append(str(error))
     except _UNREADABLE as error:
         raise BagForeign(f'{path}: not a run of taxinet_ros: {error}', path=path) from error
-    alone = recording.plain or len(recording.runs) == 1
+    alone = len(recording.runs) == 1
     pairs = list(zip(recording.runs, readers, strict=True))
     present = [pair for pair in pairs if not pair[0].absent] or pairs
     found = [
@@ -207,7 +176,7 @@ def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunS
                  run.unclear)
         for run, reader in present
     ]
-    notes = [recording.unchecked, found[0].note]
+    notes = [recording.info.unchecked, found[0].note]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
         notes.append(f'has the end, but no steps, of these runs: {", ".join(absent)}')
@@ -241,8 +210,8 @@ def _timing(words: str) -> str:
 class _SamplesReader:
     """Collects samples from the messages of a run."""
 
+    recording: Recording
     names: Collection[str] | None
-    plain: bool = False
     scenario: Any = None
     assumptions: Assumptions = NO_ASSUMPTIONS
     steps: dict[str, dict[int, Any]] = field(default_factory=dict)
@@ -271,13 +240,11 @@ class _SamplesReader:
                 self.last.clear()
             self.last.append(stored)
             return
-        message = decode(stored.topic, stored.cdr)
+        message = self.recording.decode(stored)
         if relative == NODE_STATUS:
             if str(message.node) == SIMULATOR:
                 self.timing = self.timing or _timing(str(message.implementation))
             return
-        if self.plain:
-            self._check_plain(relative, stored, message)
         if relative == SCENARIO:
             self.scenario = message
             self.assumptions = assumptions_of(message)
@@ -296,17 +263,6 @@ class _SamplesReader:
             how = 'comes twice' if stamp_ns in steps else f'comes behind {latest_ns / NS_PER_S:g} s'
             self.flaws.setdefault(relative, f'{relative}: {stamp_ns / NS_PER_S:g} s {how}')
         steps.setdefault(stamp_ns, message)
-
-    def _check_plain(self, relative: str, stored: StoredMessage, message: Any) -> None:
-        """Raise :class:`_NotPlainError` for a message of another run or with another log time."""
-        if relative == SCENARIO:
-            plain = self.scenario is None
-        else:
-            plain = self.scenario is not None and stamp_of(message) == stored.stamp_ns and (
-                getattr(message, 'run_id', self.scenario.run_id) == self.scenario.run_id
-            )
-        if not plain or stored.topic.name != f'/{relative}':
-            raise _NotPlainError
 
     def run(self, run: str, trouble: str, unclear: str) -> RunSamples:
         """Return the samples; ``unclear``: why odometry cannot be assigned to a run, or ''."""
@@ -391,7 +347,7 @@ class _SamplesReader:
         if self.verdict is not None:
             told = list(self.verdict.specs)
         else:
-            told = [decode(stored.topic, stored.cdr) for stored in self.last]
+            told = [self.recording.decode(stored) for stored in self.last]
         return {
             str(one.formula): RecordedReading(
                 stamp_of(one), RobustnessInterval(float(one.rho_lower), float(one.rho_upper))

@@ -16,9 +16,8 @@ import numpy as np
 import pandas as pd
 from rosbags.interfaces import Nodetype
 
-from taxinet_ros.bag.cdr.decode import typestore
+from taxinet_ros.bag.cdr.decode import decode, typestore
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.topics import is_topic
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
@@ -56,8 +55,8 @@ def topic_tables(
     """See :meth:`.recording.Recording.tables`."""
     chosen = _chosen(recording, topics)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in chosen}
-    for count, stored in enumerate(recording.whole_messages(chosen.__contains__)):
-        message = decode_of(recording.path, stored, count)
+    for stored in recording.whole_messages(chosen.__contains__):
+        message = decode(stored.topic, stored.cdr)
         row = {'t_s': stored.stamp_ns / 1e9, 'stamp_ns': stored.stamp_ns, **dict(flat(message))}
         rows[stored.topic.name].append(row)
     return {name: _table(rows[name], topic) for name, topic in chosen.items()}

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
-from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
-from taxinet_ros.bag.reader import decode_of
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign
 from taxinet_ros.bag.run.message_values import (
     clearance_in,
     clearance_of,
@@ -45,7 +45,6 @@ Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
 
 _MOST = 2**63 - 1
-_TRACED = (SCENARIO, TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
 
 
 class CameraFrame(NamedTuple):
@@ -66,10 +65,11 @@ class CameraFrame(NamedTuple):
 
 def trace_columns(recording: Recording) -> dict[str, Column]:
     """See :attr:`.recording.Recording.columns`."""
+    recording.check_damage()
     table, path = _TraceColumns(), recording.path
-    for name, stamp_ns, message in _messages(recording):
+    for name, _, message in recording.messages(_FILL):
         try:
-            _FILL[name](table, stamp_ns, message)
+            _FILL[name](table, stamp_of(message), message)
         except (AttributeError, TypeError, ValueError, UsageError) as error:
             raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
     if not table.stamps:
@@ -100,12 +100,13 @@ def camera_frames(
 
 def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
     """Control steps of the messages on a topic, from their header stamps."""
-    for _, stored in recording.messages((relative,)):
-        try:
-            yield stamp_of_cdr(stored.cdr) // CONTROL_PERIOD_NS
-        except BagCorrupt as error:
-            text = f'{recording.path}: topic {stored.topic.name}: {error}'
-            raise BagCorrupt(text, path=recording.path) from error
+    for stored in recording.one.info.messages:
+        if is_topic(stored.topic.name, relative):
+            try:
+                yield stamp_of_cdr(stored.cdr) // CONTROL_PERIOD_NS
+            except BagCorrupt as error:
+                text = f'{recording.path}: topic {stored.topic.name}: {error}'
+                raise BagCorrupt(text, path=recording.path) from error
 
 
 def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
@@ -116,28 +117,20 @@ def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
         BagForeign: an image is neither rgb8 nor bgr8, or there are several runs.
         BagError: the bag is damaged or unsupported.
     """
-    path, topic, latest_ns = recording.path, '', -1
-    pictures = recording.whole_messages(lambda name: is_topic(name, IMAGE))
-    for count, stored in enumerate(pictures):
-        message, name = decode_of(path, stored, count), stored.topic.name
-        topic = topic or name
-        if topic != name:
-            raise BagForeign(
-                f'{path}: both {topic} and {name}: more than one run in it', path=path
-            )
+    path, latest_ns = recording.path, -1
+    for stored in recording.one.whole_messages(lambda name: is_topic(name, IMAGE)):
+        where = f'{path}: image at {stored.stamp_ns} ns'
         try:
-            stamp_ns = stamp_of(message)
-        except (AttributeError, TypeError, ValueError) as error:
-            raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
-        if stamp_ns <= latest_ns:
-            raise several_runs(path, 'one with frames', f'one from {stamp_ns} ns on again')
-        latest_ns = stamp_ns
-        try:
-            yield stamp_ns, _pixels(message)
+            message = decode(stored.topic, stored.cdr)
+            stamp_ns, pixels = stamp_of(message), _pixels(message)
         except BagCorrupt as error:
-            raise BagCorrupt(f'{path}: image at {stamp_ns} ns: {error}', path=path) from error
+            raise BagCorrupt(f'{where}: {error}', path=path) from error
         except (BagForeign, AttributeError, TypeError, ValueError) as error:
-            raise BagForeign(f'{path}: image at {stamp_ns} ns: {error}', path=path) from error
+            raise BagForeign(f'{where}: {error}', path=path) from error
+        if stamp_ns <= latest_ns:
+            raise BagForeign(f'{where}: comes behind one of {latest_ns} ns', path=path)
+        latest_ns = stamp_ns
+        yield stamp_ns, pixels
 
 
 class _TraceColumns:
@@ -221,26 +214,6 @@ _FILL = {
     SCENARIO: _scenario, TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
     ROBUSTNESS: _robustness,
 }
-
-
-def _messages(recording: Recording) -> Iterator[tuple[str, int, Any]]:
-    """Yield decoded messages with relative topic names; a run may be in a namespace."""
-    path, chosen, run_id = recording.path, dict[str, str](), ''
-    for count, (relative, stored) in enumerate(recording.messages(_TRACED, strict=True)):
-        message = decode_of(path, stored, count)
-        name = stored.topic.name
-        if chosen.setdefault(relative, name) != name:
-            raise BagForeign(
-                f'{path}: both {chosen[relative]} and {name}: more than one run in it', path=path
-            )
-        try:
-            stamp_ns = stamp_of(message)
-        except (AttributeError, TypeError, ValueError) as error:
-            raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
-        run_id = run_id or getattr(message, 'run_id', '')
-        if getattr(message, 'run_id', run_id) != run_id:
-            raise several_runs(path, run_id, message.run_id)
-        yield relative, stamp_ns, message
 
 
 def _pixels(message: Any) -> Frame:

@@ -39,7 +39,8 @@ from taxinet_ros.bag.layout import compressed
 from taxinet_ros.bag.storage.records import MAGIC
 from taxinet_ros.bag.topics import TopicInfo
 
-PROFILE = 'ros2'
+PROFILES = ('ros2', '')
+"""MCAP profiles read; other recorders leave it empty."""
 MAX_RECORD_BYTES = 256 * 2**20
 """Maximum size of a record, and of a chunk when decompressed; recorders write about 1 MB."""
 
@@ -88,6 +89,7 @@ class McapFile:
     Attributes:
         path: the file.
         messages: number of messages read so far.
+        unchecked: number of messages that no checksum covers, so that damage is not detected.
     """
 
     def __init__(self, path: Path) -> None:
@@ -95,20 +97,7 @@ class McapFile:
         self.messages = 0
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, TopicInfo] = {}
-        self._chunks = self._bare_chunks = self._loose_messages = 0
-        self._data_checked = False
-
-    @property
-    def unchecked(self) -> str:
-        """One line about messages without a checksum, in which damage cannot be detected; or ''."""
-        if self._data_checked or not (self._bare_chunks or self._loose_messages):
-            return ''
-        what = (
-            f'{self._bare_chunks} of {self._chunks} chunks carry' if self._bare_chunks
-            else f'{self._loose_messages} messages outside chunks have'
-        )
-        name = self.path.name
-        return f'{name}: {what} no checksum, so that damage in them cannot be detected'
+        self.unchecked = 0
 
     def records(self) -> Iterator[Stored]:
         """Yield topics, messages, metadata and attachments in the order of the file.
@@ -164,35 +153,25 @@ class McapFile:
             raise BagCorrupt(f'record of kind {opcode} within the data')
         if opcode == Opcode.MESSAGE:
             message = self._message(body, 0, len(body))
-            self._loose_messages += 1
             self.messages += 1
+            self.unchecked += 1
             return (message,)
         record = _parsed(opcode, body)
         if isinstance(record, Chunk):
-            return self._in_chunk(self._opened(record))
+            before, found = self.messages, self._in_chunk(_opened(record))
+            if not record.uncompressed_crc:
+                self.unchecked += self.messages - before
+            return found
         if isinstance(record, Schema | Channel):
             return self._declared(record)
-        if isinstance(record, Header) and record.profile != PROFILE:
-            text = f'{self.path}: MCAP of profile {record.profile!r}, not {PROFILE}'
+        if isinstance(record, Header) and record.profile not in PROFILES:
+            text = f'{self.path}: MCAP of profile {record.profile!r}, not {PROFILES[0]}'
             raise BagForeign(text, path=self.path)
         if isinstance(record, Attachment):
             _check_attachment(body)
         if isinstance(record, DataEnd):
             return record
         return (record,) if isinstance(record, Metadata | Attachment) else ()
-
-    def _opened(self, chunk: Chunk) -> bytes:
-        size = chunk.uncompressed_size
-        if size > MAX_RECORD_BYTES:
-            raise BagCorrupt(f'chunk declares {size} bytes, more than {MAX_RECORD_BYTES}')
-        if chunk.compression not in ('', 'zstd', 'lz4'):
-            raise BagCorrupt(f'chunk has unknown compression {chunk.compression!r}')
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        if length != size:
-            raise BagCorrupt(f'chunk declares {size} bytes but holds {length}')
-        self._chunks += 1
-        self._bare_chunks += not chunk.uncompressed_crc
-        return stream.read(length)
 
     def _in_chunk(self, raw: bytes) -> Sequence[Stored]:
         found: list[Stored] = []
@@ -229,14 +208,14 @@ class McapFile:
             self._schemas[record.id] = record
             return ()
         schema = self._schemas.get(record.schema_id)
-        if schema is None:
+        if schema is None and record.schema_id:
             raise BagCorrupt(f'channel {record.topic} names unknown schema {record.schema_id}')
-        readable = schema.encoding == 'ros2msg'
+        readable = schema and schema.encoding == 'ros2msg'
         topic = self._topics[record.id] = TopicInfo(
             name=record.topic,
-            type=schema.name,
+            type=schema.name if schema else '',
             qos=record.metadata.get('offered_qos_profiles', ''),
-            definition=schema.data.decode('utf-8', 'replace') if readable else '',
+            definition=schema.data.decode('utf-8', 'replace') if schema and readable else '',
             type_hash=record.metadata.get('topic_type_hash', ''),
             encoding=record.message_encoding,
         )
@@ -249,7 +228,20 @@ class McapFile:
             raise BagCorrupt('the data contradicts its checksum')
         if statistics is not None and statistics.message_count != self.messages:
             raise BagCorrupt(f'{self.messages} messages of {statistics.message_count} found')
-        self._data_checked = bool(end.data_section_crc)
+        if end.data_section_crc:
+            self.unchecked = 0
+
+
+def _opened(chunk: Chunk) -> bytes:
+    size = chunk.uncompressed_size
+    if size > MAX_RECORD_BYTES:
+        raise BagCorrupt(f'chunk declares {size} bytes, more than {MAX_RECORD_BYTES}')
+    if chunk.compression not in ('', 'zstd', 'lz4'):
+        raise BagCorrupt(f'chunk has unknown compression {chunk.compression!r}')
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    if length != size:
+        raise BagCorrupt(f'chunk declares {size} bytes but holds {length}')
+    return stream.read(length)
 
 
 def read_statistics(path: Path) -> dict[str, int]:

@@ -6,6 +6,7 @@ the same command continues after an interrupt, also with more runs or other subs
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +18,12 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
     open_failed_campaign,
     spread_evenly,
 )
-from taxinet_ros.campaign.past_runs.shared_scenes import Scene
+from taxinet_ros.campaign.past_runs.shared_scenes import Scene, system_of
 from taxinet_ros.campaign.past_runs.trials import (
-    System,
     Task,
     Trial,
     TrialRecord,
-    digest_of,
+    TrialSystem,
     run_trials,
 )
 from taxinet_ros.campaign.record.facts import recorded_world
@@ -39,6 +39,7 @@ from taxinet_ros.core.perception.substituted import (
     TRUTH_HEADING,
     parse_substitution,
 )
+from taxinet_ros.core.system import digest_of
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -58,7 +59,6 @@ class LocalizeOptions:
         rows: rows of the failed runs to analyse.
         words: names of the substitutions, the control first.
         perception: word or file of the network.
-        controller: name of the controller.
         workers: number of processes.
         out: folder.
     """
@@ -67,7 +67,6 @@ class LocalizeOptions:
     rows: tuple[RunRow, ...]
     words: tuple[str, ...]
     perception: str
-    controller: str
     workers: int
     out: Path
 
@@ -77,14 +76,9 @@ class LocalizeOptions:
         return len(self.rows) * len(self.words)
 
     @property
-    def system(self) -> System:
+    def system(self) -> TrialSystem:
         """The campaign's system."""
-        world, package = recorded_world(self.campaign.facts)
-        return System(
-            perception=self.perception, judging=self.campaign.judging,
-            gains=dict(self.campaign.gains), controller=self.controller,
-            timing=self.campaign.timing, world=world, world_sha256=package,
-        )
+        return dataclasses.replace(system_of(self.campaign), perception=self.perception)
 
 
 def make_localize_options(
@@ -120,10 +114,11 @@ def make_localize_options(
         raise UsageError(f'{campaign}: {again}, so trials cannot localise the fault')
     if not found.judging.specs:
         raise UsageError(f'{campaign}: its record does not have the formulas')
+    _check_controller(found)
     return LocalizeOptions(
         campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
-        perception=_network(found, perception), controller=_controller(found), workers=workers,
+        perception=_network(found, perception), workers=workers,
         out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
     )
 
@@ -208,8 +203,8 @@ def _network(campaign: RecordedCampaign, given: str | None) -> str:
     return str(word)
 
 
-def _controller(campaign: RecordedCampaign) -> str:
-    """The campaign's controller.
+def _check_controller(campaign: RecordedCampaign) -> None:
+    """Check the campaign's controller.
 
     Raises:
         UsageError: it cannot be called here, or has changed.
@@ -221,4 +216,3 @@ def _controller(campaign: RecordedCampaign) -> str:
             f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
             'back as it was'
         )
-    return word

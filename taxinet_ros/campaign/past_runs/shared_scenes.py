@@ -2,14 +2,14 @@
 
 The scenes are those of a recorded campaign, of a table, of a bag, or fresh draws of a program. Only
 the network differs between the runs of a scene, so runs are compared in pairs. Finished runs are
-kept in ``trials.jsonl``: the same command continues after an interrupt, also with more networks.
+kept in a record: the same command continues after an interrupt, also with more networks.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,16 @@ import pandas as pd
 
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.campaign.past_runs.judged_run import find_run
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign, spread_evenly
+from taxinet_ros.campaign.past_runs.recorded_campaign import (
+    RecordedCampaign,
+    open_campaign,
+    spread_evenly,
+)
 from taxinet_ros.campaign.past_runs.trials import (
-    System,
     Task,
     Trial,
     TrialRecord,
-    digest_of,
+    TrialSystem,
     run_trials,
 )
 from taxinet_ros.campaign.rates import sample_size_was_fixed
@@ -36,16 +39,16 @@ from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.system import digest_of
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.registry import KMWH
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,42 +75,52 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSet:
-    """Scenes, and the settings that their runs have in common.
+    """Scenes, and the system that drives them with different networks.
 
     Attributes:
         source: where they come from, as text.
         scenes: the scenes, by index.
-        judging: the headline requirement, which alone is judged.
+        system: as in the recorded runs, with the truth in place of a network; the headline
+            requirement alone is judged.
         fixed: whether their number did not depend on any result.
-        gains, controller, timing, world, world_sha256: as in the recorded runs.
     """
 
     source: str
     scenes: tuple[Scene, ...]
-    judging: Judging
+    system: TrialSystem
     fixed: bool = True
-    gains: Mapping[str, float] = field(default_factory=dict)
-    controller: str = STEERING
-    timing: str = ''
-    world: str = KMWH
-    world_sha256: str = ''
 
-    def system(self, network: str) -> System:
-        """The system that drives them with a network."""
-        return System(
-            perception=network, judging=self.judging, gains=self.gains, controller=self.controller,
-            timing=self.timing, world=self.world, world_sha256=self.world_sha256,
-        )
+    def system_with(self, network: str) -> TrialSystem:
+        """The system with a network."""
+        return dataclasses.replace(self.system, perception=network)
 
     @property
     def settings(self) -> dict[str, str]:
         """Digests of everything but the network that decides the results."""
         return {
-            'system': self.system(GroundTruth.word).digest,
+            'system': self.system.digest,
             'scenes': digest_of([
                 [scene.row.run_id, repr(scene.scenario)] for scene in self.scenes
             ]),
         }
+
+
+def system_of(campaign: RecordedCampaign) -> TrialSystem:
+    """The system of a campaign, with the truth in place of its network."""
+    world, package = recorded_world(campaign.facts)
+    return TrialSystem(
+        perception=GroundTruth.word, judging=campaign.judging, gains=dict(campaign.gains),
+        controller=str(campaign.facts.get('controller', STEERING)),
+        timing=parse_timing(campaign.timing), world=world, world_sha256=package,
+    )
+
+
+def _headline(judging: Judging) -> Judging:
+    return dataclasses.replace(judging, specs=judging.specs[:1])
+
+
+def _plain_system(judging: Judging) -> TrialSystem:
+    return TrialSystem(perception=GroundTruth.word, judging=_headline(judging))
 
 
 def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
@@ -133,32 +146,23 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
     campaign = open_campaign(path)
     if is_free(campaign.timing):
         raise UsageError(f'{path}: free runs: {NOT_REPRODUCIBLE}')
-    world, package = recorded_world(campaign.facts)
-    if again := find_world(world, package).again_words:
+    system = system_of(campaign)
+    if again := find_world(system.world, system.world_sha256).again_words:
         raise UsageError(f'{path}: {again}, so its scenes cannot be compared')
     if not campaign.judged:
         raise UsageError(f'{path}: no run was judged, so it has no scenes to compare')
-    judging = campaign.judging
-    if not judging.specs:
+    if not campaign.judging.specs:
         raise UsageError(f'{path}: its record does not have the formulas')
     scenes = []
     for row in spread_evenly(campaign.judged, runs):
         scenario, exact = campaign.scenario(row)
         scenes.append(Scene(row=row, scenario=scenario, exact=exact))
+    outcomes = {row.index: row.outcome for row in campaign.rows}
     return SceneSet(
-        source=str(path), scenes=tuple(scenes), gains=dict(campaign.gains), world=world,
-        judging=_headline(judging), controller=str(campaign.facts.get('controller', STEERING)),
-        timing=campaign.timing, world_sha256=package,
-        fixed=_fixed(campaign.rows, campaign.planned_runs),
+        source=str(path), scenes=tuple(scenes),
+        system=dataclasses.replace(system, judging=_headline(system.judging)),
+        fixed=sample_size_was_fixed(outcomes, campaign.planned_runs),
     )
-
-
-def _fixed(rows: Sequence[RunRow], planned: range | None) -> bool:
-    return sample_size_was_fixed({row.index: row.outcome for row in rows}, planned)
-
-
-def _headline(judging: Judging) -> Judging:
-    return dataclasses.replace(judging, specs=judging.specs[:1])
 
 
 def _of_table(path: Path, runs: int | None) -> SceneSet:
@@ -184,7 +188,7 @@ def _of_table(path: Path, runs: int | None) -> SceneSet:
     ]
     return SceneSet(
         source=str(path), scenes=spread_evenly(scenes, runs),
-        judging=Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',)),
+        system=_plain_system(Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',))),
         fixed=sample_size_was_fixed(outcomes, None),
     )
 
@@ -220,8 +224,11 @@ def _of_run(path: Path) -> SceneSet:
         raise UsageError(f'{path}: its verdict is not recorded')
     return SceneSet(
         source=str(path), scenes=(Scene(row=row, scenario=run.scenario, exact=True),),
-        judging=Judging(specs=run.specs[:1]), gains=dict(run.gains), controller=run.controller,
-        timing=run.timing.words, world=run.world, world_sha256=run.world_fingerprint,
+        system=TrialSystem(
+            perception=GroundTruth.word, judging=Judging(specs=run.specs[:1]),
+            gains=dict(run.gains), controller=run.controller, timing=run.timing, world=run.world,
+            world_sha256=run.world_fingerprint,
+        ),
     )
 
 
@@ -259,7 +266,7 @@ def scenes_of_program(
                 **scenario.to_human(),
             )
             scenes.append(Scene(row=row, scenario=scenario, exact=True))
-    return SceneSet(source=program, scenes=tuple(scenes), judging=_headline(judging))
+    return SceneSet(source=program, scenes=tuple(scenes), system=_plain_system(judging))
 
 
 class SharedTrials(TrialRecord[Trial]):
@@ -306,7 +313,7 @@ class SharedTrials(TrialRecord[Trial]):
                     return
                 yield scene.task()
 
-        for trial in run_trials(tasks(), self.scenes.system(network), workers):
+        for trial in run_trials(tasks(), self.scenes.system_with(network), workers):
             self.keep(f'{fingerprint} {trial.run_id}', trial)
             done[trial.run_id] = trial
             on_trial()
@@ -321,12 +328,12 @@ class SharedTrials(TrialRecord[Trial]):
 
     def table(self, network: str) -> pd.DataFrame:
         """Results of a network as a campaign's table; runs that were not judged are in it too."""
-        return table_of(self.rows(network), (self.scenes.judging.headline,))
+        return table_of(self.rows(network), (self.scenes.system.judging.headline,))
 
     def rows(self, network: str) -> list[RunRow]:
         """Results of a network, by scene; runs that were not judged are among them."""
         fingerprint = check_perception(network)
-        spec = self.scenes.judging.headline
+        spec = self.scenes.system.judging.headline
         rows: list[RunRow] = []
         results = self._results(network)
         for place, scene in enumerate(self.scenes.scenes):

@@ -1,15 +1,13 @@
 """Trials: scenes run once more in the closed loop without ROS, in worker processes, and kept.
 
-A :class:`System` is what drives, and by which requirements it is judged; a :class:`Task` is a scene
-to run; a :class:`Trial` is its result. A :class:`TrialRecord` keeps results in ``campaign.db``, so
-a command that is run again makes only those that are missing.
+A :class:`TrialSystem` is what drives, and by which requirements it is judged; a :class:`Task` is a
+scene to run; a :class:`Trial` is its result. A :class:`TrialRecord` keeps results in
+``campaign.db``, so a command that is run again makes only those that are missing.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -20,15 +18,15 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from taxinet_ros.campaign.options import make_out
-from taxinet_ros.core.assurance.switch import check_controller, make_controller
+from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.motion.controller import STEERING, Controller, SteeringGains
+from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
+from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System, digest_of
 from taxinet_ros.core.user_code import UserCodeError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.judging import Judging
@@ -37,52 +35,25 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError, warn_once
 from taxinet_ros.files.record import RECORD_NAME, Record, plain, repair_record, repaired
 from taxinet_ros.processes.pool import process_pool
-from taxinet_ros.registry import KMWH
-from taxinet_ros.version import __version__
 
 SETTINGS, SITTING, TRIAL = 'settings', 'sitting', 'trial'
 """Kinds of the entries of a record of trials: settings, machine of each sitting, results."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class System:
-    """What drives, and how it is judged.
+@dataclass(frozen=True, kw_only=True)
+class TrialSystem(System):
+    """A system, and how its trials are judged.
 
     Attributes:
-        perception: word or file of the network.
         judging: judging options of the verdicts.
-        gains: steering gains that differ from the defaults.
-        controller: name of the controller, with its monitor and fallback.
-        timing: when answers take effect, in words.
-        world: name of its world.
-        world_sha256: required hash of the package that provides it, or ''.
     """
 
-    perception: str
     judging: Judging
-    gains: Mapping[str, float]
-    controller: str = STEERING
-    timing: str = ''
-    world: str = KMWH
-    world_sha256: str = ''
 
     @property
     def digest(self) -> str:
-        """Digest of everything that decides the result of a scene, names of files aside.
-
-        Raises:
-            UsageError: perception or controller cannot be used.
-        """
-        return digest_of([
-            __version__, check_perception(self.perception), self.judging.facts(), dict(self.gains),
-            self.controller, check_controller(self.controller, self.gains), self.timing,
-            self.world, self.world_sha256,
-        ])
-
-
-def digest_of(values: Any) -> str:
-    """SHA-256 of plain values."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+        """Digest of all that decides the result of a scene. Raises as that of :class:`System`."""
+        return digest_of([super().digest, self.judging.facts()])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -159,7 +130,7 @@ class Trial:
 
 @contextlib.contextmanager
 def trial_pool(
-    system: System, workers: int
+    system: TrialSystem, workers: int
 ) -> Iterator[Callable[[Iterable[Task]], Iterator[Trial]]]:
     """Context of a function that runs trials in worker processes and yields them as they finish.
 
@@ -173,17 +144,17 @@ def trial_pool(
         yield lambda tasks: pool.run_all(_trial, tasks, workers)
 
 
-def run_trials(tasks: Iterable[Task], system: System, workers: int) -> Iterator[Trial]:
+def run_trials(tasks: Iterable[Task], system: TrialSystem, workers: int) -> Iterator[Trial]:
     """Run trials as the function of :func:`trial_pool` does."""
     with trial_pool(system, workers) as run:
         yield from run(tasks)
 
 
-_worker: list[tuple[System, Perception, Controller]] = []
+_worker: list[tuple[TrialSystem, Perception, Controller]] = []
 """State of a worker process: system, network and controller."""
 
 
-def _start_worker(system: System) -> None:
+def _start_worker(system: TrialSystem) -> None:
     cv2.setNumThreads(1)  # the workers share the cores
     threadpool_limits(limits=1)
     controller = make_controller(system.controller, SteeringGains(**system.gains))
@@ -195,7 +166,7 @@ def _trial(task: Task) -> Trial:
 
 
 def make_trial(
-    task: Task, system: System, network: Perception, controller: Controller | None = None
+    task: Task, system: TrialSystem, network: Perception, controller: Controller | None = None
 ) -> Trial:
     """Run one scene in this process; loads the system's controller if none is given."""
     if controller is None or task.gains is not None:
@@ -206,7 +177,7 @@ def make_trial(
         judged = run_closed_loop(
             task.scenario, perception, specs=system.judging.parsed_specs, controller=controller,
             stop_on=system.judging.stop_on, assumptions=system.judging.assumptions,
-            timing=parse_timing(system.timing), draws=task.seed,
+            timing=system.timing, draws=task.seed,
             make_world=find_world(system.world, system.world_sha256).make,
         )
     except (InfraError, UserCodeError) as error:

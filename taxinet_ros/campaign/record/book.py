@@ -37,6 +37,7 @@ from taxinet_ros.campaign.record.facts import (
     EXTENSIONS,
     FACTS,
     ODD,
+    SPARE,
     STACKS,
     UNTIL,
     package_words,
@@ -238,7 +239,7 @@ class CampaignBook:
     def _end(self) -> None:
         """Record that the campaign ended in good order; a repaired record is whole if all are."""
         self._write_due_facts()
-        self._record.put(END, '', len(self.rows))
+        self._record.put_all([(END, '', len(self.rows)), (SPARE, FACTS, self.facts)])
         if 'shrinks' in self.facts or len(self.rows) >= int(self.facts['runs']):
             repaired(self._record)
 
@@ -364,7 +365,8 @@ class CampaignBook:
             return
         self._facts_due = False
         with self._watched():
-            self._record.remove(END)
+            for kind in (END, SPARE):
+                self._record.remove(kind)
             self._record.put(FACTS, '', self.facts)
 
     @contextlib.contextmanager

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.record.facts import FACTS
+from taxinet_ros.campaign.record.facts import FACTS, SPARE
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError
@@ -75,6 +75,7 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
     Raises:
         UsageError: an entry is not one of this version.
     """
+    facts = entries.get(FACTS, {}) or entries.get(SPARE, {})
     try:
         documents = frozenset(
             # Finding it makes it known, so that references in rows can be resolved.
@@ -82,7 +83,7 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
             for key, document in entries.get(DOCUMENT, {}).values()
         )
         return CampaignContent(
-            facts=entries.get(FACTS, {}).get('', {}),
+            facts=next(iter(facts.values()), {}),
             rows=tuple(entries.get(ROW, {}).values()),
             attempts={int(key): attempts for key, attempts in entries.get(BEGUN, {}).items()},
             added=entries.get(REQUIREMENT, {}), finished=END in entries, documents=documents,

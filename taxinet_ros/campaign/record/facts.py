@@ -24,6 +24,10 @@ from taxinet_ros.version import __version__
 FACTS = 'facts'
 """Kind of the entry of a campaign's record with its facts."""
 
+SPARE = 'spare'
+"""Kind of a second entry with them, as the runs of a damaged record are useless without; it is
+written after the last run, so that no damage of one page affects both."""
+
 ARMS = 'experiment_arms'
 """The fact that names the folders of all arms of an experiment, including this campaign's."""
 
@@ -222,7 +226,7 @@ def is_campaign(folder: Path) -> bool:
     if not path.is_file():
         return False
     try:
-        return read_entry(path, FACTS) is not None
+        return _facts_of(path) is not None
     except UsageError:
         return True
 
@@ -240,7 +244,12 @@ def read_facts(folder: Path) -> dict[str, Any] | None:
         UsageError: they are damaged.
     """
     path = folder / RECORD_NAME
-    return read_entry(path, FACTS) if path.is_file() else None
+    return _facts_of(path) if path.is_file() else None
+
+
+def _facts_of(path: Path) -> dict[str, Any] | None:
+    found = read_entry(path, FACTS)
+    return read_entry(path, SPARE, FACTS) if found is None else found
 
 
 def program_attachment(program: str, out: Path) -> dict[str, bytes]:

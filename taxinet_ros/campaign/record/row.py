@@ -308,15 +308,18 @@ class RunRow:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read the output of :meth:`to_json`, which was checked before it was written.
+        """Read the output of :meth:`to_json`.
 
         Raises:
-            KeyError, TypeError, ValueError: a value is missing, unknown or inconsistent.
+            KeyError, TypeError, ValueError: a value is missing, unknown or inconsistent
+                (:meth:`check`).
         """
         robustness = {
             spec: RobustnessInterval(*ends) for spec, ends in values.get('robustness', {}).items()
         }
-        return cls(**{**values, 'outcome': Outcome(values['outcome']), 'robustness': robustness})
+        row = cls(**{**values, 'outcome': Outcome(values['outcome']), 'robustness': robustness})
+        row.check()
+        return row
 
 
 _NOTHING = object()

@@ -158,10 +158,10 @@ def _scenes(options: CompareOptions, word: str, out: Path) -> SceneSet:
     )
     scenes = scenes_of_program(
         word, runs=asked.runs, seed=asked.seed, judging=asked.judging, overrides=asked.overrides)
-    return replace(
-        scenes, gains=asked.gains, controller=asked.controller, timing=asked.timing.words,
+    return replace(scenes, system=replace(
+        scenes.system, gains=asked.gains, controller=asked.controller, timing=asked.timing,
         world=asked.world, world_sha256=find_world(asked.world).fingerprint,
-    )
+    ))
 
 
 def _driven(

@@ -197,6 +197,7 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
     """The network's runs in the baseline's scenes, finished ones kept in the folder."""
     fingerprint = check_perception(network)
     scenes = scenes_of(baseline)
+    system = scenes.system
     out = asked.out or DEFAULT_ROOT / f'gate-{Path(network).stem.replace(":", "-")}'
     console = Console(highlight=False, stderr=True)
     tell_doubts(network_doubts(network, (scene.scenario for scene in scenes.scenes)))
@@ -220,9 +221,9 @@ def _driven(asked: GateInput, network: str, baseline: Path) -> _Judged | None:
         planned=None if scenes.fixed else _planned(baseline, rows), facts={
             'taxinet_ros_version': __version__, 'baseline': str(baseline),
             'program': rows[0].program, 'seed': rows[0].seed, 'perception': network,
-            'perception_sha256': fingerprint, 'controller': scenes.controller,
-            'gains': dict(scenes.gains), 'timing': scenes.timing, 'world': scenes.world,
-            **scenes.judging.facts(),
+            'perception_sha256': fingerprint, 'controller': system.controller,
+            'gains': dict(system.gains), 'timing': system.timing.words, 'world': system.world,
+            **system.judging.facts(),
         },
     )
     write_table(out / PARQUET_NAME, judged.table())

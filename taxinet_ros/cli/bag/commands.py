@@ -12,11 +12,12 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import OwnControllerOption, RunOption, refuse_given
+from taxinet_ros.cli.options import OwnControllerOption, RunOption
 
 BagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
 ]
+JsonOption = Annotated[bool, typer.Option('--json', help='print one JSON object')]
 
 
 def render(
@@ -110,8 +111,9 @@ def compare(
     from taxinet_ros.cli.bag.compare import run_compare
     from taxinet_ros.cli.bag.input import one_run, readable_bags
 
-    with readable_bags(), one_run(bag, run_id) as one, one_run(other, other_run) as two:
-        code = run_compare(one.path, two.path, tolerance=tolerance, skip=skip or ())
+    with readable_bags():
+        bags = one_run(bag, run_id), one_run(other, other_run)
+        code = run_compare(*bags, tolerance=tolerance, skip=skip or ())
     raise typer.Exit(code)
 
 
@@ -139,14 +141,10 @@ bag_app = command_group(
     'whole, 2 bad input, or nothing in the bag can be read, 3 something in it is lost or wrong, 4 '
     'no disk space for the output.',
 )
-RecordedBagArgument = Annotated[
-    Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
-]
-JsonOption = Annotated[bool, typer.Option('--json', help='print one JSON object')]
 
 
 @bag_app.command()
-def info(bag: RecordedBagArgument, as_json: JsonOption = False) -> None:
+def info(bag: BagArgument, as_json: JsonOption = False) -> None:
     """Show the contents of a bag: run, scene, outcome, robustness, topics."""
     from taxinet_ros.cli.bag.info import show_info
 
@@ -154,16 +152,7 @@ def info(bag: RecordedBagArgument, as_json: JsonOption = False) -> None:
 
 
 @bag_app.command()
-def doctor(
-    context: typer.Context,
-    bag: RecordedBagArgument,
-    as_json: JsonOption = False,
-    images: Annotated[
-        bool,
-        typer.Option('--images', help='also re-render every camera frame and compare'),
-    ] = False,
-    run_id: RunOption = None,
-) -> None:
+def doctor(bag: BagArgument, as_json: JsonOption = False) -> None:
     """Check a bag; report each problem, where it is and how to repair it.
 
     Checks checksums, counts, stamps, type hashes, the completeness of every step, and the
@@ -171,14 +160,12 @@ def doctor(
     """
     from taxinet_ros.cli.bag.doctor import run_bag_doctor
 
-    if not images:
-        refuse_given(context, ('run_id',), 'all runs are checked; it selects one for --images only')
-    raise typer.Exit(run_bag_doctor(bag, as_json=as_json, images=images, run=run_id))
+    raise typer.Exit(run_bag_doctor(bag, as_json=as_json))
 
 
 @bag_app.command()
 def recover(
-    bag: RecordedBagArgument,
+    bag: BagArgument,
     out: Annotated[
         Path, typer.Option(metavar='NEW', help='folder for the new bag; must not exist')
     ],
@@ -194,7 +181,7 @@ def recover(
 
 @bag_app.command()
 def export(
-    bag: RecordedBagArgument,
+    bag: BagArgument,
     out: Annotated[
         Path,
         typer.Option(
@@ -228,7 +215,7 @@ def export(
 
 @bag_app.command()
 def split(
-    bag: RecordedBagArgument,
+    bag: BagArgument,
     out: Annotated[
         Path, typer.Option(metavar='DIR', help='folder for the new bags; must be new or empty')
     ],

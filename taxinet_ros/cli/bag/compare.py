@@ -9,36 +9,29 @@ from rich.console import Console
 
 from taxinet_ros.bag.check.compare import TopicComparison, compare_bags, first_step
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.facts import made_on
-from taxinet_ros.cli.bag.input import readable_bags, warn_of_stacks
+from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.cli.bag.input import warn_of_stacks
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 
 EQUAL, DIFFERENT = 0, 1
 
 
-def run_compare(one: Path, other: Path, *, tolerance: float, skip: Collection[str]) -> int:
-    """Compare two bags and print the differences.
-
-    Returns:
-        Exit code: 0 the same within the tolerance, 1 different.
-
-    Raises:
-        UsageError: a bag cannot be read, or an option makes no sense.
-    """
+def run_compare(
+    one: Recording, other: Recording, *, tolerance: float, skip: Collection[str]
+) -> int:
+    """Compare two recordings and print the differences; exit code 1 if there are any."""
     if not 0 <= tolerance < float('inf'):
         raise UsageError(f'--tolerance {tolerance:g}: needs to be 0 or more')
     console = Console(highlight=False)
-    with readable_bags():
-        left_out = _topics(skip, one, other)
-        topics = compare_bags(one, other, tolerance=tolerance, skip=left_out)
-        if not topics:
-            raise UsageError(f'{one} and {other}: no messages to compare')
-        warn_of_stacks(console, *(made_on(read_info(bag)) for bag in (one, other)))
-        print_comparison(console, topics, tolerance)
-        if _bytes(one) == _bytes(other):
-            console.print('the files are byte-identical')
+    left_out = _topics(skip, one, other)
+    topics = compare_bags(one, other, tolerance=tolerance, skip=left_out)
+    if not topics:
+        raise UsageError(f'{one.path} and {other.path}: no messages to compare')
+    warn_of_stacks(console, one.made_on, other.made_on)
+    print_comparison(console, topics, tolerance)
+    if not (one.name or other.name) and _bytes(one.path) == _bytes(other.path):
+        console.print('the files are byte-identical')
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
 
 
@@ -77,13 +70,9 @@ def _words(topic: TopicComparison) -> str:
     return f'{counts}{topic.differing} of {both} differ{greatest}, first: {topic.first}'
 
 
-def _topics(names: Collection[str], *bags: Path) -> list[str]:
-    """Topic names as recorded in bags.
-
-    Raises:
-        UsageError: no bag has such a topic.
-    """
-    known = {name for bag in bags for name in read_info(bag).counts}
+def _topics(names: Collection[str], *bags: Recording) -> list[str]:
+    """Topic names as recorded in bags, each in one of them."""
+    known = {name for bag in bags for name in bag.info.counts}
     for name in names:
         if '/' + name.lstrip('/') not in known:
             words = ', '.join(sorted(known))

@@ -13,43 +13,24 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from taxinet_ros.bag.check.doctor import check_bag, check_recorded_frames
+from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.findings import Check, Finding
 from taxinet_ros.campaign.doctor import Examination, examine
-from taxinet_ros.cli.bag.input import exit_code_of, one_run
+from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.errors import ExitCode
 
 
-def run_bag_doctor(
-    bag: Path, *, as_json: bool, images: bool = False, run: str | None = None
-) -> int:
-    """Check a bag and print the findings.
+def run_bag_doctor(bag: Path, *, as_json: bool) -> int:
+    """Check a bag and print the findings; exit code 0 nothing is wrong, 2 not readable, 3 wrong."""
+    def check() -> int:
+        checks = check_bag(bag).checks
+        _print_checks(bag, checks, as_json=as_json)
+        return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
 
-    Args:
-        bag: a run folder or an ``.mcap`` file.
-        as_json: print one JSON object.
-        images: re-render every frame and compare.
-        run: which run, if the bag holds several.
-
-    Returns:
-        Exit code: 0 nothing is wrong, 2 not readable, 3 something is wrong.
-
-    Raises:
-        UsageError: there is nothing at ``bag``.
-    """
-    return exit_code_of(bag, lambda: _check_bag(bag, as_json, images, run))
+    return exit_code_of(bag, check)
 
 
-def _check_bag(bag: Path, as_json: bool, images: bool, run: str | None) -> int:
-    checks = check_bag(bag).checks
-    if images:
-        with one_run(bag, run) as whole:
-            checks += (check_recorded_frames(whole),)
-    print_checks(bag, checks, as_json=as_json)
-    return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
-
-
-def print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
+def _print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
     """Print one line per check, its findings and the repair command."""
     findings = [finding for check in checks for finding in check.findings]
     if as_json:
@@ -68,18 +49,18 @@ def print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None
             console.print(
                 f'        {finding.where}: {finding.what}', soft_wrap=True, markup=False
             )
-    console.print(_conclusion(findings, bag), soft_wrap=True, markup=False)
+    mends = [_mend(finding, bag) for finding in findings]
+    console.print(_conclusion(mends) or 'nothing is wrong', soft_wrap=True, markup=False)
 
 
-def _conclusion(findings: Sequence[Finding], bag: Path) -> str:
-    if not findings:
-        return 'nothing is wrong'
-    mends = Counter(_mend(finding, bag) for finding in findings)
-    lost = mends.pop('', 0)
-    parts = [f'{number} mended by: {command}' for command, number in mends.items()]
+def _conclusion(mends: Sequence[str]) -> str:
+    """The commands for some findings, or '' for none."""
+    counts = Counter(mends)
+    lost = counts.pop('', 0)
+    parts = [f'{number} mended by: {command}' for command, number in counts.items()]
     if lost:
-        parts.append(f'{lost} only by rerunning the scene')
-    return f'{len(findings)} found, {"; ".join(parts)}'
+        parts.append(f'{lost} only by making it again')
+    return f'{len(mends)} found; {"; ".join(parts)}' if mends else ''
 
 
 def _check_line(check: Check) -> Text:
@@ -104,14 +85,7 @@ def _mend(finding: Finding, bag: Path) -> str:
 
 
 def run_results_doctor(folder: Path, *, as_json: bool) -> int:
-    """Check a folder and print one line per finding.
-
-    Returns:
-        Exit code: 0 no findings, 3 something is incomplete or damaged.
-
-    Raises:
-        UsageError: there is nothing to check.
-    """
+    """Check a folder and print one line per finding; exit code 3 if there is one."""
     found = examine(folder, _show_bag_name)
     if sys.stderr.isatty():
         print('\r\033[K', end='', file=sys.stderr)
@@ -126,11 +100,7 @@ def _show_bag_name(bag: Path) -> None:
 
 def _results_words(found: Examination, folder: Path) -> str:
     looked_at = ', '.join(f'{count:,} {what}' for what, count in found.looked_at.items())
-    mends = Counter(one.mend for one in found.findings)
-    lost = mends.pop('', 0)
-    parts = [f'{number} mended by: {command}' for command, number in mends.items()]
-    parts += [f'{lost} only by making it again'] if lost else []
-    summary = f'{len(found.findings)} found; {"; ".join(parts)}' if found.findings else 'sound'
+    summary = _conclusion([one.mend for one in found.findings]) or 'sound'
     return '\n'.join([
         *(f'BAD     {one.where}: {one.what}' for one in found.findings),
         *(f'note    {line}' for line in found.notes),

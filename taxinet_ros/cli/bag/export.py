@@ -22,21 +22,7 @@ _PICTURES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 def run_export(
     bag: Path, out: Path, *, topics: Sequence[str], file_format: str | None, run: str | None = None
 ) -> int:
-    """Write the requested files and print their paths.
-
-    Args:
-        bag: a bag's folder or an ``.mcap`` file.
-        out: file or folder.
-        topics: topics to export; empty: the run's trace or all topics.
-        file_format: format, if not given by the suffix of ``out``.
-        run: which run, if the bag holds several.
-
-    Returns:
-        Exit code: 0, 2 not readable, 3 the bag is damaged, 4 no disk space.
-
-    Raises:
-        UsageError: bad input, or a topic that is not in the bag.
-    """
+    """Write the requested files and print their paths; without topics, the trace or all topics."""
     kind = _format(out, file_format, topics)
     _check_new(out)
     if topics and not any(map(is_run_topic, topics)):  # Foreign topics: as recorded.
@@ -47,11 +33,7 @@ def run_export(
             )
         return exit_code_of(bag, lambda: _export(open_recording(bag), out, kind, topics))
 
-    def export() -> int:
-        with one_run(bag, run) as whole:
-            return _export(whole, out, kind, topics)
-
-    return exit_code_of(bag, export)
+    return exit_code_of(bag, lambda: _export(one_run(bag, run), out, kind, topics))
 
 
 def _export(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
@@ -99,7 +81,8 @@ def _one_table(recording: Recording, out: Path, kind: str, topics: Sequence[str]
 
 def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
     wanted = list(topics) or [
-        topic.name for topic in recording.topics if topic.type not in _PICTURES
+        topic.name for topic in recording.topics
+        if topic.type not in _PICTURES and topic.encoding == 'cdr'
     ]
     tables = recording.tables(wanted)
     try:

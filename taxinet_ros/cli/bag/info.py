@@ -34,14 +34,7 @@ _LONGEST_S = 86_400
 
 
 def show_info(bag: Path, *, as_json: bool) -> int:
-    """Print the contents of a bag.
-
-    Returns:
-        Exit code: 0 complete, 2 not readable, 3 unfinished or damaged.
-
-    Raises:
-        UsageError: there is nothing at ``bag``.
-    """
+    """Print the contents of a bag; exit code 2 not readable, 3 unfinished or damaged."""
     return exit_code_of(bag, lambda: _show(bag, as_json))
 
 

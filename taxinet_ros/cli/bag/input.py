@@ -5,16 +5,21 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated, BagWriteError
-from taxinet_ros.bag.rewrite.split import write_runs
+from taxinet_ros.bag.errors import (
+    BagCorrupt,
+    BagError,
+    BagForeign,
+    BagTruncated,
+    BagWriteError,
+)
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.topics import SCENARIO
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.core.assurance.switch import check_controller, named_parts
 from taxinet_ros.core.motion.controller import STEERING
@@ -56,9 +61,8 @@ def readable_bags() -> Iterator[None]:
         raise UsageError(str(error)) from error
 
 
-@contextlib.contextmanager
-def one_run(bag: Path, run: str | None) -> Iterator[Recording]:
-    """Yield a bag of one run in the recorder node's layout: this one, or a copy of the run.
+def one_run(bag: Path, run: str | None) -> Recording:
+    """Recording of one run, in the recorder node's form.
 
     Args:
         bag: a bag's folder or an ``.mcap`` file, from any recorder.
@@ -72,15 +76,15 @@ def one_run(bag: Path, run: str | None) -> Iterator[Recording]:
     if recording.plain or not recording.runs:
         if run is not None:
             recording.choose(run)
-        yield recording
-        return
+        return recording
     chosen = recording.choose(run)
-    if recording.damage:
-        raise recording.damage[0]
-    with tempfile.TemporaryDirectory(prefix='taxinet-run-') as scratch:
-        folder = Path(scratch) / chosen.run_id
-        write_runs(recording, {chosen.name: folder})
-        yield open_recording(folder)
+    if chosen.scenario is None:
+        raise UsageError(f'{bag}: run {chosen.name}: no message on {SCENARIO}')
+    if chosen.unclear:
+        raise BagForeign(f'{bag}: run {chosen.name}: {chosen.unclear}', path=bag)
+    for error in recording.damage:
+        raise error
+    return recording[chosen.name]
 
 
 @contextlib.contextmanager
@@ -90,8 +94,9 @@ def readable_run(bag: Path, run: str | None) -> Iterator[Recording]:
     Raises:
         UsageError: it cannot be read, or its campaign records another run at this place.
     """
-    with readable_bags(), one_run(bag, run) as whole:
-        if whole.path == bag:
+    with readable_bags():
+        whole = one_run(bag, run)
+        if not whole.name:
             BagPlaces().check(whole, whole=whole.complete)
         yield whole
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import track
 
-from taxinet_ros.bag.check.lockstep import run_record, run_records, whole_steps
+from taxinet_ros.bag.check.lockstep import checked_runs
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.reader import read_info
@@ -32,9 +33,6 @@ def run_recover(bag: Path, out: Path) -> int:
     Returns:
         Exit code: 0 everything was saved, 3 something is lost, 2 nothing could be saved, 4 no disk
             space.
-
-    Raises:
-        UsageError: there is nothing at ``bag``, or something at ``out``.
     """
     if bag.is_dir() and out.resolve().is_relative_to(bag.resolve()):
         raise UsageError(f'--out {out}: is inside the bag {bag}, which is not modified')
@@ -68,22 +66,13 @@ def _recover(bag: Path, out: Path) -> int:
 
 def _steps(bag: Path) -> Iterator[str]:
     """Lines on how much of each run the new bag holds."""
-    recording = open_recording(bag)
-    if recording.plain:
-        told = [('', recording.facts, run_record(recording))]
-    else:
-        records = run_records(recording)
-        told = [
-            (f'{run.name}: ', one.facts, record)
-            for run, one, record in zip(recording.runs, recording, records, strict=True)
-            if not run.absent
-        ]
-    for name, fact, record in told:
+    for name, recording, record in checked_runs(open_recording(bag)):
+        fact = recording.facts
         if fact is not None:
-            whole = whole_steps(record, list(record.counts))
             planned = round(fact.scene['duration_s'] * NS_PER_S) // CONTROL_PERIOD_NS + 1
             ended = f', ended as {fact.outcome}' if fact.outcome else ''
-            yield f'{name}{whole} whole control steps of {planned} planned{ended}'
+            of = f'{name}: ' if name else ''
+            yield f'{of}{record.whole_steps()} whole control steps of {planned} planned{ended}'
 
 
 def _lost(recovery: Recovery) -> str:
@@ -98,15 +87,7 @@ def _lost(recovery: Recovery) -> str:
 
 
 def run_split(bag: Path, out: Path) -> int:
-    """Write one bag per run and print the result of each.
-
-    Returns:
-        Exit code: 0 all are written, 2 nothing can be read, 3 damaged parts of the recording are
-            missing, 4 no disk space.
-
-    Raises:
-        UsageError: ``out`` is in use, or the recording does not identify its runs.
-    """
+    """Write one bag per run and print each; exit code 3 if the recording is damaged."""
     check_new(out)
     return exit_code_of(bag, lambda: _split(bag, out))
 
@@ -133,22 +114,17 @@ _MIN_FREE_BYTES = 1_000_000_000
 
 
 def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
-    """Render missing frames, in place or into a new bag, and print the result.
-
-    Returns:
-        Exit code: 0 every frame is there, 2 the bag cannot be read or its frames cannot be
-            rendered, 4 no disk space.
-
-    Raises:
-        UsageError: there is nothing at ``bag``, it is damaged, or ``out`` exists.
-    """
+    """Render missing frames, in place or into a new bag, and print the result."""
     def work() -> int:
-        with one_run(bag, run) as whole:
-            if whole.path != bag and out is None:
-                raise UsageError(
-                    f'{bag}: not from the taxinet_ros recorder; name a new bag with --out'
-                )
-            return _render(whole, out)
+        recording = one_run(bag, run)
+        if not recording.name:
+            return _render(recording, out)
+        if out is None:
+            raise UsageError(f'{bag}: not from the taxinet_ros recorder; name a new bag with --out')
+        with tempfile.TemporaryDirectory(prefix='taxinet-run-') as scratch:
+            folder = Path(scratch) / recording.run_id
+            write_runs(open_recording(bag), {recording.name: folder})
+            return _render(open_recording(folder), out)
 
     return exit_code_of(bag, work)
 

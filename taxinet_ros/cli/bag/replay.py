@@ -80,15 +80,7 @@ class ReplayOptions:
 
 
 def run_replay(options: ReplayOptions) -> int:
-    """Replay, print a table, and write plot and values.
-
-    Returns:
-        Exit code: 0 equal within the tolerances, 1 different.
-
-    Raises:
-        UsageError: bad input.
-        InfraError: the node failed.
-    """
+    """Replay, print a table, and write plot and values; exit code 1 if different."""
     console = Console(highlight=False)
     with readable_bags():
         run, trace = options.recording.run, options.recording.columns

@@ -18,7 +18,6 @@ from taxinet_ros.bag.check.compare import (
     write_stack,
 )
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
-from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
@@ -50,14 +49,7 @@ _TAKEN_BESIDE_FROM = frozenset({
 
 
 def check_options(given: Iterable[str]) -> None:
-    """Refuse options that contradict the recorded run.
-
-    Args:
-        given: parameters of ``taxinet run`` given on the command line.
-
-    Raises:
-        UsageError: one of them is not allowed with ``--from``.
-    """
+    """Refuse given parameters of ``taxinet run`` that contradict the recorded run."""
     names = {'settings': '--set', 'scenario': 'SCENARIO', 'free': 'whether --free'}
     for name in given:
         if name in ('engine', 'audit'):
@@ -85,10 +77,6 @@ def run_again(
 
     Returns:
         Exit code: 0 bit-identical, 1 different.
-
-    Raises:
-        UsageError: bad input.
-        InfraError: infrastructure error.
     """
     with readable_bags():
         run, info = recording.run, recording.info
@@ -132,9 +120,9 @@ def run_again(
     if not result.outcome.judged:
         raise InfraError(result.kind, result.who, result.last_seq, result.detail)
     with readable_bags():
-        counts = read_info(new).counts
-        skip = () if info.counts.get(IMAGE) and counts.get(IMAGE) else (IMAGE,)
-        topics = compare_bags(recording.path, new, skip=skip)
+        made = open_recording(new)
+        skip = () if info.counts.get(IMAGE) and made.info.counts.get(IMAGE) else (IMAGE,)
+        topics = compare_bags(recording, made, skip=skip)
     print_comparison(console, topics, 0.0)
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
 
@@ -144,10 +132,6 @@ def run_golden(folder: Path, *, update: bool) -> int:
 
     Returns:
         Exit code: 0 the same, or replaced; 1 different.
-
-    Raises:
-        UsageError: there are no golden bags, or one cannot be read.
-        InfraError: infrastructure error; nothing is replaced.
     """
     console = Console(highlight=False)
     bags = golden_bags(folder)

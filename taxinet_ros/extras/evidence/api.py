@@ -20,6 +20,7 @@ from taxinet_ros.arguments import (
 )
 from taxinet_ros.extras.evidence import verify
 from taxinet_ros.extras.evidence.evidence import EvidenceOptions, make_evidence
+from taxinet_ros.extras.evidence.inputs import read_requirement
 
 _PATHS = PATH | Kind('a list of paths', lambda value: isinstance(value, list | tuple) and all(
     PATH.has(one) for one in value))
@@ -58,7 +59,8 @@ def evidence(
     """
     found = make_evidence(
         EvidenceOptions(
-            campaigns=_paths(campaigns), requirement=requirement, claim=claim, spec=spec,
+            campaigns=_paths(campaigns), claim=claim, spec=spec,
+            requirement=None if requirement is None else read_requirement(requirement),
             odd=None if odd is None else os.fspath(odd), localisations=_paths(localize),
             monitors=_paths(monitor_table), networks=tuple(map(str, _paths(perception))),
         ),

@@ -8,141 +8,109 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from taxinet_ros.extras.evidence.figures import Verdict
 
+Values = Mapping[str, Any]
 _SHAPES = {
     'G': ('["', '"]'), 'S': ('[/"', '"/]'), 'Sn': ('(("', '"))'), 'C': ('("', '")'),
     'A': ('(["', '"])'),
 }
 """Of goals, strategies, solutions, contexts and assumptions, by the first letters of their ids."""
 _MARKUP = re.compile(r'[^\w\s.,:;()/%=+*|\'φρ≤≥…–-]')
+_LISTS = {'context': ('context', 'C'), 'assumption': ('assumptions', 'A'),
+          'solution': ('solutions', 'Sn')}
+"""Key and letters of what stands beside and below goals."""
 
 
-class Reference(NamedTuple):
-    """A solution or a context.
+def parse_argument(text: str) -> dict[str, Any]:
+    """Goals from their lines, as ``argument.j2`` has them, with an id for each element.
 
-    Attributes:
-        text: what it says.
-        item: id of the item with a hash that it refers to; '' for none.
+    A goal of parts is refuted if one of them is, supported if all are, else undetermined; one
+    without parts and solutions is undeveloped: nothing supports it yet.
     """
-
-    text: str
-    item: str = ''
-
-
-@dataclass(frozen=True, kw_only=True)
-class Goal:
-    """A goal with all below it.
-
-    Attributes:
-        text: statement.
-        verdict: what the figures say of it.
-        why: sentence on the verdict, or on why nothing supports it yet.
-        undeveloped: nothing supports it yet.
-        context, assumptions, solutions: what stands beside it and below it.
-        strategy: how the parts argue for it; ''.
-        parts: goals that support it.
-    """
-
-    text: str
-    verdict: Verdict
-    why: str = ''
-    undeveloped: bool = False
-    context: tuple[Reference, ...] = ()
-    assumptions: tuple[Reference, ...] = ()
-    solutions: tuple[Reference, ...] = ()
-    strategy: str = ''
-    parts: tuple[Goal, ...] = ()
-
-
-def open_goal(text: str, why: str) -> Goal:
-    """A goal that nothing supports yet."""
-    return Goal(text=text, verdict=Verdict.UNDETERMINED, why=why, undeveloped=True)
-
-
-def shown(text: str, found: tuple[Verdict, str], *solutions: Reference) -> Goal:
-    """A goal that solutions speak on."""
-    return Goal(text=text, verdict=found[0], why=found[1], solutions=solutions)
-
-
-def whole(
-    text: str, parts: Sequence[Goal], context: Sequence[Reference], *,
-    assumptions: Sequence[Reference] = (), strategy: str = '',
-) -> Goal:
-    """A goal of parts: refuted if one of them is, supported if all are, else undetermined."""
-    counts = Counter(one.verdict for one in parts)
-    verdict = (
-        Verdict.REFUTED if counts[Verdict.REFUTED]
-        else Verdict.SUPPORTED if counts[Verdict.SUPPORTED] == len(parts)
-        else Verdict.UNDETERMINED
-    )
-    words = ', '.join(f'{counts[one]} {one}' for one in Verdict if counts[one])
-    return Goal(
-        text=text, verdict=verdict, why=f'of its parts: {words}', parts=tuple(parts),
-        context=tuple(context), assumptions=tuple(assumptions), strategy=strategy,
-    )
-
-
-def argument_values(top: Goal) -> dict[str, Any]:
-    """The argument for JSON, with an id for each element, such as ``G1`` and ``Sn3``."""
     numbers: Counter[str] = Counter()
 
-    def numbered(letters: str) -> str:
+    def named(letters: str, values: dict[str, Any]) -> dict[str, Any]:
         numbers[letters] += 1
-        return f'{letters}{numbers[letters]}'
+        return {'id': f'{letters}{numbers[letters]}', **values}
 
-    def beside(letters: str, found: Sequence[Reference]) -> list[dict[str, str]]:
-        return [{'id': numbered(letters), **one._asdict()} for one in found]
+    above: list[dict[str, Any]] = []
+    for line in filter(str.strip, text.splitlines()):
+        depth = (len(line) - len(line.lstrip())) // 2
+        kind, _, words = line.strip().partition(': ')
+        one = above[depth - 1] if depth else {}
+        if kind in _LISTS:
+            key, letters = _LISTS[kind]
+            words, _, item = words.rpartition(' -> ') if ' -> ' in words else (words, '', '')
+            one[key].append(named(letters, {'text': words, 'item': item}))
+        elif kind == 'strategy':
+            one['strategy'] = named('S', {'text': words})
+        elif kind == 'why':
+            one['why'] = '; '.join(filter(None, (one['why'], words)))
+        else:
+            above[depth:] = [named('G', {
+                'text': words, 'verdict': kind, 'why': '', 'strategy': None, 'parts': [],
+                **{key: [] for key, _ in _LISTS.values()},
+            })]
+            if depth:
+                one['parts'].append(above[depth])
+    _conclude(above[0])
+    return above[0]
 
-    def values(goal: Goal) -> dict[str, Any]:
-        return {
-            'id': numbered('G'), 'text': goal.text, 'verdict': goal.verdict.value,
-            'why': goal.why, 'undeveloped': goal.undeveloped,
-            'context': beside('C', goal.context), 'assumptions': beside('A', goal.assumptions),
-            'strategy': {'id': numbered('S'), 'text': goal.strategy} if goal.strategy else None,
-            'solutions': beside('Sn', goal.solutions),
-            'parts': [values(part) for part in goal.parts],
-        }
 
-    return values(top)
+def _conclude(goal: dict[str, Any]) -> None:
+    for part in goal['parts']:
+        _conclude(part)
+    goal['undeveloped'] = not (goal['parts'] or goal['solutions'])
+    if goal['parts']:
+        counts = Counter(part['verdict'] for part in goal['parts'])
+        goal['verdict'] = (
+            Verdict.REFUTED if counts[Verdict.REFUTED]
+            else Verdict.SUPPORTED if counts[Verdict.SUPPORTED] == len(goal['parts'])
+            else Verdict.UNDETERMINED
+        ).value
+        words = ', '.join(f'{counts[one]} {one}' for one in Verdict if counts[one])
+        goal['why'] = f'of its parts: {words}'
 
 
-def goals(argument: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """All goals of the values of an argument, from the top down."""
+def goals(argument: Values) -> Iterator[Values]:
+    """All goals of an argument, from the top down."""
     yield argument
     for part in argument['parts']:
         yield from goals(part)
 
 
-def mermaid(argument: Mapping[str, Any]) -> str:
+def mermaid(argument: Values) -> str:
     """The argument as a Mermaid flowchart, which GitHub and many editors draw."""
     return '\n'.join(['flowchart TD', *_lines(argument)]) + '\n'
 
 
-def _lines(goal: Mapping[str, Any]) -> Iterator[str]:
-    name, verdict = goal['id'], 'undeveloped ◇' if goal['undeveloped'] else goal['verdict']
-    yield _node(name, f'{goal["text"]}<br/>{verdict}')
-    for one in (*goal['context'], *goal['assumptions']):
-        yield _node(one['id'], one['text'])
-        yield f'  {name} -.-> {one["id"]}'
+def _lines(one: Values) -> Iterator[str]:
+    name, verdict = one['id'], 'undeveloped ◇' if one['undeveloped'] else one['verdict']
+    yield _node(name, one['text'], f'<br/>{_safe(verdict)}')
+    for beside in (*one['context'], *one['assumptions']):
+        yield _node(beside['id'], beside['text'])
+        yield f'  {name} -.-> {beside["id"]}'
     above = name
-    if goal['strategy']:
-        above = goal['strategy']['id']
-        yield _node(above, goal['strategy']['text'])
+    if one['strategy']:
+        above = one['strategy']['id']
+        yield _node(above, one['strategy']['text'])
         yield f'  {name} --> {above}'
-    for one in goal['solutions']:
-        yield _node(one['id'], one['text'])
-        yield f'  {above} --> {one["id"]}'
-    for part in goal['parts']:
+    for solution in one['solutions']:
+        yield _node(solution['id'], solution['text'])
+        yield f'  {above} --> {solution["id"]}'
+    for part in one['parts']:
         yield f'  {above} --> {part["id"]}'
         yield from _lines(part)
 
 
-def _node(name: str, text: str) -> str:
+def _node(name: str, text: str, more: str = '') -> str:
     before, after = _SHAPES[name.rstrip('0123456789')]
-    safe = _MARKUP.sub(lambda found: f'#{ord(found[0])};', text.replace('<br/>', '\n'))
-    return f'  {name}{before}{name}: {safe.replace(chr(10), "<br/>")}{after}'
+    return f'  {name}{before}{name}: {_safe(text)}{more}{after}'
+
+
+def _safe(text: str) -> str:
+    return _MARKUP.sub(lambda found: f'#{ord(found[0])};', text)

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from taxinet_ros.cli.help import DefaultCommand, command_group
 from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.errors import ExitCode
+
+if TYPE_CHECKING:
+    from taxinet_ros.extras.evidence.evidence import Collected
+    from taxinet_ros.extras.evidence.verify import Verification
 
 evidence_app = command_group(
     'Write evidence toward a requirement, all by hash, and verify it. '
@@ -66,18 +74,29 @@ def write_evidence(
     refused. Same inputs, same bytes. Exit codes: 0 written, and the claim, if any, is supported; 1
     it is refuted; 3 it is undetermined.
     """
-    from taxinet_ros.extras.evidence.evidence import EvidenceOptions, parse_claim
-    from taxinet_ros.extras.evidence.show import run_evidence
+    from rich.console import Console
 
-    raise typer.Exit(run_evidence(
-        EvidenceOptions(
-            campaigns=tuple(campaigns), requirement=requirement, spec=spec, odd=odd,
-            claim=None if claim is None else parse_claim(claim),
-            localisations=tuple(localized or ()), monitors=tuple(monitor_table or ()),
-            networks=tuple(perception or ()),
-        ),
-        out, as_json=as_json,
-    ))
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.extras.evidence.evidence import EvidenceOptions, make_evidence, parse_claim
+    from taxinet_ros.extras.evidence.inputs import read_requirement
+
+    options = EvidenceOptions(
+        campaigns=tuple(campaigns), spec=spec, odd=odd,
+        requirement=None if requirement is None else read_requirement(requirement),
+        claim=None if claim is None else parse_claim(claim), localisations=tuple(localized or ()),
+        monitors=tuple(monitor_table or ()), networks=tuple(perception or ()),
+    )
+    with stage_bars(Console(stderr=True)) as show:
+        found = make_evidence(options, out, on_progress=show)
+    if as_json:
+        print(json.dumps(found.content, indent=2, allow_nan=False))
+    else:
+        _show(_evidence_lines(found, out))
+    verdicts = {one['claim']['verdict'] for one in found.content['systems'] if one['claim']}
+    raise typer.Exit(
+        ExitCode.VIOLATED if 'refuted' in verdicts
+        else ExitCode.INCOMPLETE if 'undetermined' in verdicts else ExitCode.OK
+    )
 
 
 @evidence_app.command('verify')
@@ -102,13 +121,67 @@ def verify_evidence(
     Exit codes: 0 everything holds; 2 a file or an input is damaged, missing or changed, or a figure
     is not that of its inputs; 4 a run came out differently; 3 something could not be verified.
     """
-    from taxinet_ros.extras.evidence.show import run_verify
-    from taxinet_ros.extras.evidence.verify import VerifyOptions
+    from rich.console import Console
 
-    raise typer.Exit(run_verify(
-        VerifyOptions(
-            folder=folder, moved=tuple(campaign or ()), networks=tuple(perception or ()),
-            sample=sample, seed=seed,
-        ),
-        as_json=as_json,
-    ))
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.extras.evidence.verify import VerifyOptions, verify
+
+    options = VerifyOptions(
+        folder=folder, moved=tuple(campaign or ()), networks=tuple(perception or ()),
+        sample=sample, seed=seed,
+    )
+    with stage_bars(Console(stderr=True)) as show:
+        found = verify(options, show)
+    if as_json:
+        print(json.dumps({
+            'folder': str(folder), 'holds': found.holds, 'checked': found.checked,
+            'damaged': found.damaged, 'different': found.different,
+            'unchecked': found.unchecked, 'notes': found.notes,
+        }, indent=2))
+    else:
+        _show(_verification_lines(found, folder))
+        if found.damaged:
+            print(f'taxinet: error: {folder}: evidence does not hold: {found.damaged[0]}',
+                  file=sys.stderr)
+    raise typer.Exit(found.code)
+
+
+def _evidence_lines(found: Collected, out: Path) -> Iterable[str]:
+    from taxinet_ros.extras.evidence.argument import goals
+
+    content = found.content
+    for one in goals(content['argument']):
+        word = 'undeveloped' if one['undeveloped'] else one['verdict']
+        why = f' ({one["why"]})' if one['why'] else ''
+        yield f'{one["id"]:<4}{word:<13}{one["text"]}{why}'
+    limits = content['limits']
+    own = [one for one in limits if one['source'] == 'inputs']
+    yield f'{len(limits)} known limits, {len(own)} of them from these inputs:'
+    for limit in own:
+        about = f'{limit["about"]}: ' if limit['about'] else ''
+        yield f'  {about}{limit["words"]}'
+    unknown = [name for name, one in content['items'].items() if one['sha256'] is None]
+    yield f'{len(content["items"])} items by hash' + (
+        f', unknown: {", ".join(unknown)}' if unknown else ''
+    )
+    yield f'{out}: {", ".join(sorted(path.name for path in out.iterdir()))}'
+    yield f'next: taxinet evidence verify {out}'
+
+
+def _verification_lines(found: Verification, folder: Path) -> Iterable[str]:
+    for word, lines in (
+        ('BAD', found.damaged), ('DIFFERS', found.different), ('unclear', found.unchecked),
+        ('note', found.notes),
+    ):
+        yield from (f'{word:<8}{line}' for line in lines)
+    checked = ', '.join(f'{count:,} {what}' for what, count in found.checked.items()) or 'nothing'
+    wrong = len(found.damaged) + len(found.different)
+    yield f'{folder}: {checked}: ' + (
+        'all holds' if found.holds else f'{wrong} do not hold' if wrong
+        else 'not all could be verified'
+    )
+
+
+def _show(lines: Iterable[str]) -> None:
+    for line in lines:
+        print(line)

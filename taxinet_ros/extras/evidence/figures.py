@@ -10,17 +10,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from taxinet_ros.analysis.fault_localisation import Blame
-from taxinet_ros.analysis.odd.coverage import OddCoverage, odd_coverage
-from taxinet_ros.analysis.runs.campaign import read_runs
-from taxinet_ros.campaign.odd.odd_file import Odd
 from taxinet_ros.campaign.rates import (
     ProgramRate,
     count_kinds,
@@ -31,7 +26,7 @@ from taxinet_ros.campaign.rates import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.extras.evidence.inputs import CampaignInput, ResultsInput
+from taxinet_ros.extras.evidence.inputs import CampaignInput
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Of the robustness."""
@@ -48,53 +43,6 @@ class Verdict(StrEnum):
     """The interval contains the target, or there is none."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FormulaRates:
-    """How often one formula is satisfied.
-
-    Attributes:
-        satisfied, violated, undecided: rates of the three; a run is undecided if it was stopped
-            before the formula was.
-    """
-
-    satisfied: ProgramRate
-    violated: ProgramRate
-    undecided: ProgramRate
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """Ends of the 95 % interval of the satisfied share.
-
-        Undecided runs count as violated for the lower end and as satisfied for the upper one, since
-        their results decided which were stopped.
-        """
-        n, k = self.satisfied.drawn, self.satisfied.drawn_hits
-        if not n:
-            return 0.0, 1.0
-        most = k + self.undecided.drawn_hits
-        anytime = self.satisfied.anytime
-        return rate(k, n, anytime=anytime).low, rate(most, n, anytime=anytime).high
-
-
-def formula_rates(campaigns: Sequence[CampaignInput], spec: str) -> FormulaRates:
-    """Rates of one formula over campaigns of one system.
-
-    Args:
-        campaigns: campaigns that share no run.
-        spec: name of the formula.
-    """
-    def of(hit: Callable[[RunRow], bool]) -> ProgramRate:
-        return pooled([rate_of(one.rows, hit, one.planned) for one in campaigns])
-
-    return FormulaRates(
-        satisfied=of(lambda row: spec in row.robustness and row.robustness[spec].satisfied),
-        violated=of(lambda row: spec in row.robustness and row.robustness[spec].failed),
-        undecided=of(lambda row: spec not in row.robustness or not (
-            row.robustness[spec].satisfied or row.robustness[spec].failed
-        )),
-    )
-
-
 def pooled(rates: Sequence[ProgramRate]) -> ProgramRate:
     """The sum of the same rate of several campaigns; its interval is valid at any time."""
     if len(rates) == 1:
@@ -107,30 +55,18 @@ def pooled(rates: Sequence[ProgramRate]) -> ProgramRate:
     )
 
 
-def claim_verdict(rates: FormulaRates, target: float) -> tuple[Verdict, str]:
-    """What the rates say of "satisfied in at least ``target`` of the runs".
-
-    Args:
-        rates: those of the formula.
-        target: share, 0..1.
-
-    Returns:
-        The verdict by the two-sided 95 % interval, and a sentence without its full stop.
-    """
-    if not rates.satisfied.drawn:
-        return Verdict.UNDETERMINED, rates.satisfied.why_not
-    low, high = rates.ends
-    words = f'95 % interval {interval_words(low, high)}, claim at least {percent(target)} %'
+def claim_verdict(formula: Mapping[str, Any], target: float) -> tuple[Verdict, str]:
+    """What the figures of a formula say of "satisfied in at least ``target`` of the runs"."""
+    low, high = formula['satisfied_at_least'], formula['satisfied_at_most']
+    if low is None:
+        return Verdict.UNDETERMINED, formula['why_no_rate']
+    # A claim of 99.99999 % is not one of 100 %.
+    words = f'95 % interval {interval_words(low, high)}, claim at least {100 * target:.12g} %'
     if low >= target:
         return Verdict.SUPPORTED, f'{words}: all of it meets the claim'
     if high < target:
         return Verdict.REFUTED, f'{words}: all of it misses the claim'
     return Verdict.UNDETERMINED, f'{words}: the interval contains the claim'
-
-
-def percent(share: float) -> str:
-    """A share in percent as it was given: a claim of 99.99999 % is not one of 100 %."""
-    return f'{100 * share:.12g}'
 
 
 def interval_words(low: float, high: float) -> str:
@@ -141,9 +77,7 @@ def interval_words(low: float, high: float) -> str:
 def share_json(found: ProgramRate, *, rated: bool = True) -> dict[str, Any]:
     """Counts of a kind of run and its rate; null where there is none.
 
-    Args:
-        found: the rate.
-        rated: False if it has no interval of its own, as runs were stopped before it was decided.
+    Not ``rated``: it has no interval, as runs were stopped before it was decided.
     """
     known = found.rate if rated else None
     return {
@@ -202,23 +136,42 @@ def rho_json(campaigns: Sequence[CampaignInput], spec: str) -> dict[str, Any]:
 
 
 def formula_json(campaigns: Sequence[CampaignInput], spec: str) -> dict[str, Any]:
-    """All figures of one formula."""
-    rates = formula_rates(campaigns, spec)
-    decided = not rates.undecided.drawn_hits
-    ends = rates.ends if rates.satisfied.drawn else None
+    """All figures of one formula; a run is undecided if it was stopped before the formula was.
+
+    Undecided runs count as violated for the lower bound of the satisfied share and as satisfied for
+    the upper one, since their results decided which were stopped.
+    """
+    def of(kind: str) -> ProgramRate:
+        return pooled([
+            rate_of(one.rows, lambda row: _decided(row, spec) == kind, one.planned)
+            for one in campaigns
+        ])
+
+    satisfied, violated, undecided = map(of, ('satisfied', 'violated', 'undecided'))
+    runs, hits, open_hits = satisfied.drawn, satisfied.drawn_hits, undecided.drawn_hits
+    low, high = (
+        rate(number, runs, anytime=satisfied.anytime) for number in (hits, hits + open_hits)
+    )
     return {
         'formula': spec,
-        'satisfied': share_json(rates.satisfied, rated=decided),
-        'violated': share_json(rates.violated, rated=decided),
-        'undecided': share_json(rates.undecided),
-        'satisfied_at_least': ends[0] if ends else None,
-        'satisfied_at_most': ends[1] if ends else None,
-        'why_no_rate': '' if rates.satisfied.drawn and decided else (
-            rates.satisfied.why_not or 'runs were stopped before the formula was decided, which '
+        'satisfied': share_json(satisfied, rated=not open_hits),
+        'violated': share_json(violated, rated=not open_hits),
+        'undecided': share_json(undecided),
+        'satisfied_at_least': low.low if runs else None,
+        'satisfied_at_most': high.high if runs else None,
+        'why_no_rate': '' if runs and not open_hits else (
+            satisfied.why_not or 'runs were stopped before the formula was decided, which '
             'depends on their results: the bounds count them as violated, and as satisfied'
         ),
         'rho': rho_json(campaigns, spec),
     }
+
+
+def _decided(row: RunRow, spec: str) -> str:
+    known = row.robustness.get(spec)
+    if known is None or not (known.satisfied or known.failed):
+        return 'undecided'
+    return 'satisfied' if known.satisfied else 'violated'
 
 
 def counts_json(campaigns: Sequence[CampaignInput], specs: Sequence[str]) -> dict[str, Any]:
@@ -235,48 +188,3 @@ def counts_json(campaigns: Sequence[CampaignInput], specs: Sequence[str]) -> dic
         'off_runway': share_json(pooled(known)) if known and len(known) == len(off) else None,
         'infra': infra_json(campaigns),
     }
-
-
-def domain_of(
-    campaigns: Sequence[CampaignInput], odd: Odd, spec: str, limit: float | None
-) -> OddCoverage:
-    """What campaigns of one system cover of an ODD.
-
-    Args:
-        campaigns: the campaigns.
-        odd: the domain.
-        spec: formula that defines failure.
-        limit: count the cells that fail less often than this; None: do not.
-
-    Raises:
-        UsageError: no run was judged.
-    """
-    runs = [
-        replace(read_runs(one.folder, spec), label=one.name) for one in campaigns
-    ]
-    return odd_coverage(odd, runs, limit=limit)
-
-
-def domain_verdict(found: OddCoverage) -> tuple[Verdict, str]:
-    """Whether every feasible pair of cells has a judged run, and a sentence on it.
-
-    Gaps refute nothing: what happens in them is not known.
-    """
-    pairs = next((one for one in found.strengths if one.t == 2), found.strengths[0])
-    name = 'pairs of cells' if pairs.t == 2 else 'cells'
-    words = f'{pairs.covered:,} of {pairs.feasible:,} feasible {name} of {found.odd.name} were run'
-    return (
-        Verdict.SUPPORTED if pairs.covered == pairs.feasible else Verdict.UNDETERMINED
-    ), words
-
-
-def cause_verdict(one: ResultsInput) -> tuple[Verdict, str]:
-    """Whether every failed run examined is attributed to a part, and a sentence on it."""
-    blame, examined = one.figures['blame'], one.figures['looked_into']
-    network, controller = blame[Blame.PERCEPTION], blame[Blame.CONTROLLER]
-    words = (
-        f'{network + controller:,} of {examined:,} failed runs examined are attributed: '
-        f'{network:,} to the network, {controller:,} to controller or formula'
-    )
-    known = network + controller == examined
-    return Verdict.SUPPORTED if known else Verdict.UNDETERMINED, words

@@ -21,7 +21,7 @@ from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.campaign.past_runs.trials import SETTINGS, TRIAL
 from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import is_campaign, planned_runs, recorded_world
+from taxinet_ros.campaign.record.facts import planned_runs, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.assurance.switch import parts_of
@@ -42,6 +42,8 @@ MONITOR_NAME = 'assurance.json'
 _JUDGED_OPTIONS = (
     'program', 'perception', 'controller', 'monitor', 'fallbacks', 'runs', 'seed', 'fingerprints',
 )
+_FILES = (RECORD_NAME, CSV_NAME, PARQUET_NAME)
+"""Of a campaign."""
 TRUTH = 'truth'
 """The perception without a network."""
 OnBag = Callable[[Path], None]
@@ -89,34 +91,20 @@ class Requirement:
 
 
 def read_requirement(given: str) -> Requirement:
-    """Read a requirement from a text ``ID: wording``, or from a file that contains one.
-
-    Raises:
-        UsageError: it has no identifier or no wording, or the file cannot be read.
-    """
+    """Read a requirement from a text ``ID: wording``, or from a file that contains one."""
     try:
         is_file = Path(given).is_file()
     except (OSError, ValueError):  # a text that is too long for a name, or has a zero
         is_file = False
-    if not is_file:
-        return requirement_of(given, f'--requirement {given:.60}')
     try:
-        text = Path(given).read_bytes().decode()
+        text = Path(given).read_bytes().decode() if is_file else given
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'--requirement {given}: cannot be read ({error})') from error
-    return requirement_of(text, f'--requirement {given}')
+    return requirement_of(text, f'--requirement {given:.60}')
 
 
 def requirement_of(text: str, where: str) -> Requirement:
-    """Split a requirement ``ID: wording``.
-
-    Args:
-        text: the whole text.
-        where: beginning of the error message.
-
-    Raises:
-        UsageError: it has no identifier or no wording, or is too long.
-    """
+    """Split a requirement ``ID: wording``."""
     found = _ID.fullmatch(text)
     if found is None or len(text) > _LONGEST_REQUIREMENT:
         raise UsageError(
@@ -133,9 +121,9 @@ class CampaignInput:
     Attributes:
         folder: its folder.
         name: name of its folder, when the evidence was written.
-        recorded: its ledger.
+        recorded: its record.
         facts: its facts, with the hash of the network of its runs.
-        files: SHA-256 of ``campaign.json``, ledger and tables, by name.
+        files: SHA-256 of record and tables, by name.
         bags: SHA-256 of each run's bag by run: of the lines ``SHA-256  NAME`` of its files.
     """
 
@@ -166,23 +154,11 @@ class CampaignInput:
         }
 
 
-def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput:
+def read_campaign(folder: Path, name: str, on_bag: OnBag) -> CampaignInput:
     """Read a finished campaign and check everything that it has checksums of.
 
-    Args:
-        path: its folder, or the table in it.
-        on_bag: called with each bag before it is checked, which takes time.
-
-    Raises:
-        UsageError: it is no campaign, a table alone, unfinished, or damaged.
+    It is recorded under a name, or if that is '', that of its folder.
     """
-    folder = path.parent if path.is_file() and path.name == PARQUET_NAME else path
-    if path.is_file() and not is_campaign(folder):
-        raise UsageError(
-            f'{path}: a table alone is no evidence: without {RECORD_NAME} beside it, '
-            ' program, formula, network and scenes cannot be bound to its rows by hash; name '
-            "the campaign's folder"
-        )
     recorded = open_campaign(folder)
     facts = {**recorded.facts, 'perception_sha256': _network_of(recorded)}
     if lacking := [name for name in _NEEDED if facts.get(name) in (None, {})]:
@@ -199,11 +175,8 @@ def read_campaign(path: Path, on_bag: OnBag = lambda bag: None) -> CampaignInput
         raise UsageError(f'{folder}: has no run')
     _refuse_damaged(folder, on_bag)
     return CampaignInput(
-        folder=folder, name=folder.resolve().name, recorded=recorded, facts=facts,
-        files={
-            name: file_sha256(folder / name)
-            for name in (RECORD_NAME, CSV_NAME, PARQUET_NAME)
-        },
+        folder=folder, name=name or folder.resolve().name, recorded=recorded, facts=facts,
+        files={file: file_sha256(folder / file) for file in _FILES},
         bags={
             row.run_id: bag_sha256(bag) for row in recorded.rows
             if (bag := recorded.bag(row)) is not None
@@ -222,11 +195,7 @@ def _refuse_damaged(folder: Path, on_bag: OnBag = lambda bag: None) -> None:
 
 
 def _network_of(recorded: RecordedCampaign) -> str | None:
-    """Hash of the network of the runs: ``taxinet run`` records it with each run only.
-
-    Raises:
-        UsageError: its runs had several networks, or another one than its facts say.
-    """
+    """Hash of the network of the runs: ``taxinet run`` records it with each run only."""
     named: str | None = recorded.facts.get('perception_sha256')
     used = {row.fingerprint for row in recorded.judged if row.fingerprint or not named}
     all_of_them = sorted(used | ({named} if named else set()))
@@ -245,15 +214,14 @@ def bag_sha256(bag: Path) -> str:
 
 
 def read_campaigns(
-    paths: Sequence[Path], on_bag: OnBag = lambda bag: None
+    paths: Sequence[Path], names: Sequence[str], on_bag: OnBag
 ) -> tuple[CampaignInput, ...]:
-    """Read several campaigns, each once.
-
-    Raises:
-        UsageError: as :func:`read_campaign`; or two of them are the same, or share a run.
-    """
+    """Read several campaigns, each once, under these names if there are any."""
     seen: dict[tuple[Any, ...], CampaignInput] = {}
-    found = tuple(read_campaign(path, on_bag) for path in paths)
+    found = tuple(
+        read_campaign(path, name, on_bag)
+        for path, name in zip(paths, names or [''] * len(paths), strict=True)
+    )
     for one in found:
         system = digest_of(one.system)
         for row in one.rows:
@@ -286,10 +254,6 @@ class NetworkInput:
 
 def read_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> NetworkInput:
     """Find the recorded network and its model card.
-
-    Args:
-        facts: facts of a campaign.
-        given: files to try if it has moved.
 
     A network that is gone or has changed is no error: its training data are then unknown.
     """
@@ -328,11 +292,7 @@ def _why_unusable(path: Path, sha256: str) -> str:
 
 
 def usable_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> str:
-    """The word or file by which the recorded perception can be loaded here.
-
-    Raises:
-        UsageError: it is gone, or another one now.
-    """
+    """The word or file by which the recorded perception can be loaded here."""
     word, sha256 = str(facts['perception']), str(facts['perception_sha256'])
     why = ''
     for candidate in (*given, word):
@@ -351,23 +311,21 @@ class ResultsInput:
 
     Attributes:
         folder: their folder.
-        files: SHA-256 of files, first the summary, which has the digests of the rest.
-        campaigns: indices of the campaigns.
+        summary: name of the summary, which has the digests of the rest.
+        files: SHA-256 of files, the summary among them.
+        campaigns: ids of the campaigns.
         figures: the findings.
     """
 
     folder: Path
+    summary: str
     files: Mapping[str, str]
-    campaigns: tuple[int, ...]
+    campaigns: tuple[str, ...]
     figures: Mapping[str, Any]
 
 
-def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInput:
-    """Read the summary of a localisation, and find its campaign by its trials.
-
-    Raises:
-        UsageError: it is none, is damaged, or is not about one of the campaigns.
-    """
+def read_localisation(folder: Path, campaigns: Mapping[str, CampaignInput]) -> ResultsInput:
+    """Read the summary of a localisation, and find its campaign by its trials."""
     path, summary = folder / RECORD_NAME, folder / LOCALISE_NAME
     for needed in (summary, path):
         if not needed.is_file():
@@ -381,10 +339,10 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Resul
     facts = entries.get(SETTINGS, {}).get('', {})
     runs = {trial.get('run_id') for trial in entries.get(TRIAL, {}).values()}
     found = [
-        number for number, one in enumerate(campaigns)
+        name for name, one in campaigns.items()
         if all(
-            facts.get(name) == one.facts.get(name)
-            for name in ('program_sha256', 'seed', 'specs', 'perception_sha256')
+            facts.get(fact) == one.facts.get(fact)
+            for fact in ('program_sha256', 'seed', 'specs', 'perception_sha256')
         ) and runs and runs <= {row.run_id for row in one.recorded.counterexamples}
     ]
     if len(found) != 1:
@@ -394,18 +352,16 @@ def read_localisation(folder: Path, campaigns: Sequence[CampaignInput]) -> Resul
         )
         raise UsageError(f'{folder}: {why}')
     return ResultsInput(
-        folder=folder, campaigns=(found[0],), files={summary.name: file_sha256(summary)},
+        folder=folder, summary=summary.name, campaigns=(found[0],),
+        files={summary.name: file_sha256(summary)},
         figures={name: value for name, value in sealed.values.items() if name != 'made_on'},
     )
 
 
-def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInput:
+def read_monitor(folder: Path, campaigns: Mapping[str, CampaignInput]) -> ResultsInput:
     """Read the judgement of a monitor, and find the campaigns that it is about.
 
     Those are of the same network, without a monitor or with the same one and a judged fallback.
-
-    Raises:
-        UsageError: it is none, is damaged, or is about none of the campaigns.
     """
     path = folder / MONITOR_NAME
     if not path.is_file():
@@ -419,7 +375,7 @@ def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInp
     except (LookupError, TypeError, ValueError) as error:
         raise UsageError(f'{path}: is of another form ({error!r}); judge again') from error
     about = tuple(
-        number for number, one in enumerate(campaigns)
+        name for name, one in campaigns.items()
         if network and network == one.facts['perception_sha256'] and (
             parts_of(str(one.facts.get('controller', ''))) is None
             or one.facts.get('controller_sha256') in digests.values()
@@ -432,7 +388,6 @@ def read_monitor(folder: Path, campaigns: Sequence[CampaignInput]) -> ResultsInp
             'named here ran that network without a monitor, or with this monitor and fallback'
         )
     return ResultsInput(
-        folder=folder, campaigns=about, figures=figures,
-        files={name: file_sha256(folder / name)
-               for name in (path.name, *sealed.files, *sealed.journals)},
+        folder=folder, summary=path.name, campaigns=about, figures=figures,
+        files={name: file_sha256(folder / name) for name in (path.name, *sealed.files)},
     )

@@ -7,12 +7,11 @@ the messages of their bags have to be equal to the bit.
 
 from __future__ import annotations
 
-import itertools
 import json
 import random
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,13 +33,13 @@ from taxinet_ros.extras.evidence.evidence import (
     SCHEMA,
     Collected,
     EvidenceOptions,
+    Progress,
     collect,
 )
 from taxinet_ros.extras.evidence.inputs import CampaignInput, requirement_of, usable_network
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
 
-Progress = Callable[[str, int, int], None]
 _LINE = re.compile(r'([0-9a-f]{64})  ([^/\n]+)')
 
 
@@ -69,12 +68,7 @@ class Verification:
 
     @property
     def code(self) -> ExitCode:
-        """Exit code.
-
-        0 everything holds; 2 files or inputs are damaged, missing or changed, or figures are not
-        those of their inputs; 4 a run cannot be repeated to the bit here; 3 something could not be
-        verified. Never 1, which says that a run violates its requirement.
-        """
+        """Exit code; never 1, which says that a run violates its requirement."""
         if self.damaged:
             return ExitCode.USAGE
         if self.different:
@@ -92,9 +86,6 @@ class VerifyOptions:
         networks: files of networks that have moved.
         sample: number of runs to drive again.
         seed: chooses them.
-
-    Raises:
-        UsageError: a negative number.
     """
 
     folder: Path
@@ -119,9 +110,6 @@ def verify(
     Args:
         options: what and how.
         on_progress: called with the stage, what is done of it, and how much there is.
-
-    Raises:
-        UsageError: the folder is none of evidence.
     """
     found = Verification()
     _check_files(options.folder, found)
@@ -180,9 +168,6 @@ def _read_json(path: Path) -> Mapping[str, Any]:
     return content
 
 
-# Inputs ------------------------------------------------------------------------------------------
-
-
 def _again(
     content: Mapping[str, Any], options: VerifyOptions, found: Verification,
     on_progress: Progress,
@@ -199,28 +184,25 @@ def _again(
     word = odd and odd['given']
     if odd and odd['files']:
         word = str(places.folder('ODD', odd) / word)
-    unused = [path for path in options.moved if path not in places.recorded]
     places.troubles += [
         f'--campaign {path}: is none of the inputs, or has changed since the evidence was written'
-        for path in unused
+        for path in options.moved if path not in places.recorded
     ]
     if places.troubles:
         found.damaged += places.troubles
         return None
     found.checked['hashes of inputs'] = places.hashes
     requirement = content['requirement']
-    bags = sum(len(one['bags']['each']) for one in by_number)
-    done = itertools.count(1)
     return collect(
         EvidenceOptions(
             campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=word,
             localisations=localisations, monitors=monitors, networks=options.networks,
+            recorded=places.recorded, names=tuple(one['name'] for one in by_number),
+            requirement=None if requirement is None else requirement_of(
+                requirement['given'], str(options.folder / JSON_NAME)
+            ),
         ),
-        options.folder, recorded=places.recorded, names=[one['name'] for one in by_number],
-        on_bag=lambda bag: on_progress('bags', min(next(done), bags), bags),
-        requirement=None if requirement is None else requirement_of(
-            requirement['given'], str(options.folder / JSON_NAME)
-        ),
+        options.folder, on_progress,
     )
 
 
@@ -242,80 +224,71 @@ class _Places:
     def folder(self, kind: str, one: Mapping[str, Any]) -> Path:
         """Folder of an input: one named as moved with these files, else where it was."""
         files, what = one['files'], f'{kind} {one.get("name", one["id"])}'
+        moved = 'if it has moved, name its folder with --campaign'
         place = self._options.folder / one['path']
         for path in self._options.moved:
             if all(_sha256(path / name) == sha256 for name, sha256 in files.items()):
                 place = path
         self.recorded[place] = one['path']
         if not place.is_dir():
-            self.troubles.append(
-                f'{place}: {what} is not there; if it has moved, name its folder with --campaign'
-            )
+            self.troubles.append(f'{place}: {what} is not there; {moved}')
             return place
         for name, sha256 in files.items():
-            self._check(place / name, sha256)
+            now = _sha256(place / name)
+            self.hashes += now == sha256
+            if not now:
+                self.troubles.append(f'{place / name}: is missing; {moved}')
+            elif now != sha256:
+                self.troubles.append(
+                    f'{place / name}: has changed since the evidence was written (sha256 '
+                    f'{sha256[:12]}… then, {now[:12]}… now); make the evidence again'
+                )
         return place
-
-    def _check(self, path: Path, sha256: str) -> None:
-        now = _sha256(path)
-        self.hashes += now == sha256
-        if not now:
-            self.troubles.append(
-                f'{path}: is missing; if it has moved, name its folder with --campaign'
-            )
-        elif now != sha256:
-            self.troubles.append(
-                f'{path}: has changed since the evidence was written (sha256 {sha256[:12]}… then, '
-                f'{now[:12]}… now); make the evidence again'
-            )
 
 
 def _sha256(path: Path) -> str:
     return file_sha256(path) if path.is_file() else ''
 
 
-# Values ------------------------------------------------------------------------------------------
-
-
 def _compare(
     content: Mapping[str, Any], again: Collected, options: VerifyOptions, found: Verification
 ) -> None:
-    """Compare every value with that made again."""
+    """Compare every value with that made again; which code made it may differ."""
     written, now = ({**one, 'computed_by': None} for one in (content, again.content))
-    wrong = list(value_differences(written, now))
+    wrong = value_differences(written, now)
     found.damaged += [f'{options.folder / JSON_NAME}: {line}' for line in wrong]
     if not wrong:
-        found.checked['values computed again'] = sum(1 for _ in _leaves(now))
+        found.checked['values computed again'] = len(dict(_leaves(now)))
 
 
-def value_differences(written: Any, now: Any, at: str = '') -> Iterator[str]:
+def value_differences(written: Any, now: Any) -> list[str]:
     """Where two JSON values differ, one line a place."""
-    if isinstance(written, Mapping) and isinstance(now, Mapping):
-        for name in sorted({*written, *now}):
-            inner = f'{at}.{name}' if at else str(name)
-            if name not in written or name not in now:
-                yield f'{inner}: {"is missing" if name in now else "is not of these inputs"}'
-            else:
-                yield from value_differences(written[name], now[name], inner)
-    elif isinstance(written, list) and isinstance(now, list) and len(written) == len(now):
-        for number, (one, other) in enumerate(zip(written, now, strict=True)):
-            key = one.get('id', number) if isinstance(one, Mapping) else number
-            yield from value_differences(one, other, f'{at}[{key}]')
-    elif type(written) is not type(now) or written != now:
-        yield f'{at}: is {_short(written)}, of these inputs it is {_short(now)}'
+    before, after = dict(_leaves(written)), dict(_leaves(now))
+    return [
+        f'{at}: is missing' if at not in before else f'{at}: is not of these inputs'
+        if at not in after else f'{at}: is {_short(before[at])}, of these inputs it is '
+        f'{_short(after[at])}'
+        for at in sorted({*before, *after})
+        if at not in before or at not in after
+        or (type(before[at]), before[at]) != (type(after[at]), after[at])
+    ]
+
+
+def _leaves(value: Any, at: str = '') -> Iterator[tuple[str, Any]]:
+    """All plain values and empty containers, by where they are."""
+    if isinstance(value, Mapping) and value:
+        for name, inner in value.items():
+            yield from _leaves(inner, f'{at}.{name}' if at else str(name))
+    elif isinstance(value, list) and value:
+        for number, inner in enumerate(value):
+            yield from _leaves(inner, f'{at}[{number}]')
+    else:
+        yield at, value
 
 
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f'{text[:79]}…'
-
-
-def _leaves(value: Any) -> Iterator[Any]:
-    if isinstance(value, Mapping | list):
-        for inner in value.values() if isinstance(value, Mapping) else value:
-            yield from _leaves(inner)
-    else:
-        yield value
 
 
 # Runs --------------------------------------------------------------------------------------------
@@ -384,14 +357,7 @@ def _loop_options(one: CampaignInput, out: Path, networks: tuple[str, ...]) -> L
 
 
 def run_difference(one: CampaignInput, row: RunRow, loop: Loop, out: Path) -> str:
-    """Drive a run again; the first difference, or ''.
-
-    Args:
-        one: its campaign.
-        row: its row.
-        loop: what runs it, with bags below ``out``.
-        out: an empty folder.
-    """
+    """Drive a run again; the first difference, or ''."""
     bag = one.folder / row.bag
     try:
         result = loop.run(open_recording(bag).run.request)

@@ -111,16 +111,7 @@ class FlightGearCamera:
     })
 
     def __init__(self, scenario: Scenario, *, model: CameraModel | None = None) -> None:
-        """Connect, and find the scenario's runway in FlightGear's terrain.
-
-        Args:
-            scenario: place, date, hour and weather.
-            model: replaces the scenario's camera.
-
-        Raises:
-            UsageError: FlightGear cannot show the scenario.
-            InfraError: it is not there, or not as ``taxinet flightgear start`` starts it.
-        """
+        """Connect, and find the scenario's runway in FlightGear's terrain."""
         self._model = model = model or scenario.camera_model
         self._noise = SensorNoise(scenario, model)
         # FlightGear has no exposure: the camera's is applied to its codes as light.
@@ -138,11 +129,7 @@ class FlightGearCamera:
         self.lens = lens_of(model, width_px, height_px)
 
     def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
-        """Take the picture of a state.
-
-        Raises:
-            InfraError: FlightGear does not answer, or never shows the state.
-        """
+        """Take the picture of a state."""
         eye = eye_of(state, self._model, self.ground)
         with self._flightgear.alone():
             taken = self._taken(eye)
@@ -159,11 +146,7 @@ class FlightGearCamera:
 
     @property
     def sun_elevation_deg(self) -> float:
-        """Elevation of FlightGear's sun as its frame loop tells it [deg].
-
-        Raises:
-            InfraError: there is no answer.
-        """
+        """Elevation of FlightGear's sun as its frame loop tells it [deg]."""
         return 90.0 - math.degrees(_told(self._flightgear.value(_TOLD)).sun_angle_rad)
 
     def close(self) -> None:

@@ -47,11 +47,7 @@ def _of(path: str) -> str:
 
 
 def flightgear_address() -> tuple[str, int]:
-    """Host and port of the FlightGear to ask.
-
-    Raises:
-        UsageError: the environment variable holds something else.
-    """
+    """Host and port of the FlightGear to ask."""
     told = os.environ.get(ADDRESS) or DEFAULT_ADDRESS
     host, _, port = told.rpartition(':')
     if not (host and port.isascii() and port.isdigit() and 0 < int(port) < 65536):
@@ -68,14 +64,7 @@ class FlightGear:
     """A connection to a running FlightGear."""
 
     def __init__(self, address: tuple[str, int] | None = None) -> None:
-        """Remember whom to ask; nothing is asked yet.
-
-        Args:
-            address: host and port; None: those of the environment.
-
-        Raises:
-            UsageError: the environment names no address.
-        """
+        """Remember whom to ask, by default the environment's; nothing is asked yet."""
         self.host, self.port = address or flightgear_address()
         # It answers in the frame after that of a request, each connection for itself.
         self._connection, self._second = (
@@ -102,11 +91,7 @@ class FlightGear:
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Context in which no other process of this machine asks this FlightGear.
-
-        Raises:
-            InfraError: the lock cannot be made.
-        """
+        """Context in which no other process of this machine asks this FlightGear."""
         name = f'taxinet-flightgear-{os.getuid()}-{self.host.replace("/", "_")}-{self.port}.lock'
         try:
             with Path(tempfile.gettempdir(), name).open('a') as lock:
@@ -116,40 +101,22 @@ class FlightGear:
             raise failed(InfraKind.SIM, f'{error.filename or name}: {error.strerror}') from error
 
     def value(self, path: str) -> Any:
-        """Value of a property; None if there is none.
-
-        Raises:
-            InfraError: there is no answer, or none of FlightGear.
-        """
+        """Value of a property; None if there is none."""
         self._ask(self._connection, 'GET', _of(path))
         return self._parsed(self._answer(self._connection, _of(path)))
 
     def run(self, script: str) -> None:
-        """Run a Nasal script within one frame.
-
-        Raises:
-            InfraError: as for :meth:`value`.
-        """
+        """Run a Nasal script within one frame."""
         body = {'name': '', 'children': [{'name': 'script', 'value': script}]}
         self._ask(self._connection, 'POST', _RUN, json.dumps(body))
         answer = self._answer(self._connection, _RUN)
         if answer.strip() != b'ok.':
             raise failed(InfraKind.PROTOCOL, f'{self.where} refused a script: {answer[:60]!r}')
 
-    def picture(self) -> NDArray[np.uint8]:
-        """The window's newest picture, (height, width, 3) uint8 RGB; read-only.
-
-        Raises:
-            InfraError: there is none.
-        """
-        self._ask(self._connection, 'GET', _PICTURE)
-        return self._unpacked(self._answer(self._connection, _PICTURE))
-
     def value_and_picture(self, path: str) -> tuple[Any, NDArray[np.uint8]]:
-        """Value of a property and the newest picture, in the time of one of them.
+        """Value of a property and the window's newest picture, in the time of one of them.
 
-        Raises:
-            InfraError: as for :meth:`value` and :meth:`picture`.
+        The picture is (height, width, 3) uint8 RGB, read-only.
         """
         self._ask(self._connection, 'GET', _of(path))
         self._ask(self._second, 'GET', _PICTURE)
@@ -209,24 +176,17 @@ class FlightGear:
             ) from error
         except (OSError, http.client.HTTPException) as error:
             self.close()
-            raise self._unreachable(error) from error
-
-    def _unreachable(self, error: OSError | http.client.HTTPException) -> InfraError:
-        why = (error.strerror if isinstance(error, OSError) else '') or type(error).__name__
-        if self._answered:
-            return failed(InfraKind.DIED, f'{self.where} answers no more: {why}')
-        return failed(
-            InfraKind.NOT_READY, f'nobody answers at {self.where}: {why}; start it with: taxinet '
-            f'flightgear start (or name another address in {ADDRESS})'
-        )
+            why = (error.strerror if isinstance(error, OSError) else '') or type(error).__name__
+            if self._answered:
+                raise failed(InfraKind.DIED, f'{self.where} answers no more: {why}') from error
+            raise failed(
+                InfraKind.NOT_READY, f'nobody answers at {self.where}: {why}; start it with: '
+                f'taxinet flightgear start (or name another address in {ADDRESS})'
+            ) from error
 
 
 def check_instance(flightgear: FlightGear) -> None:
-    """Check that this is a FlightGear as ``taxinet flightgear start`` starts it.
-
-    Raises:
-        InfraError: another version, aircraft or flight model, or it is still loading.
-    """
+    """Check that this is a FlightGear as ``taxinet flightgear start`` starts it."""
     version = flightgear.value('/sim/version/flightgear')
     if not isinstance(version, str) or not version.startswith(f'{VERSION}.'):
         raise failed(
@@ -241,7 +201,7 @@ def check_instance(flightgear: FlightGear) -> None:
                 InfraKind.PROTOCOL, f'{flightgear.where} has the {what} {found}, which may move '
                 f'the eye; start it with: taxinet flightgear start'
             )
-    if flightgear.value('/sim/sceneryloaded') is not True:
+    loaded, picture = flightgear.value_and_picture('/sim/sceneryloaded')
+    if loaded is not True:
         raise failed(InfraKind.NOT_READY, f'{flightgear.where} is still loading its scenery')
-    height_px, width_px, _ = flightgear.picture().shape
-    flightgear.window_px = width_px, height_px
+    flightgear.window_px = picture.shape[1], picture.shape[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated
 
@@ -27,45 +27,28 @@ def flightgear_start(
     size: Annotated[
         str, typer.Option(metavar='WIDTHxHEIGHT', help='window; larger for sharper lenses')
     ] = '480x288',
-    port: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=65535, help='port on this machine (default: that of TAXINET_FLIGHTGEAR, '
-            'else 5480)',
-        ),
-    ] = None,
 ) -> None:
     """Start FlightGear under a virtual display, and keep it until Ctrl-C.
 
-    Says when it has loaded; then --camera flightgear takes its pictures from it. Exit code 130
-    after Ctrl-C, 4 if FlightGear ended by itself.
+    It serves at TAXINET_FLIGHTGEAR=HOST:PORT, by default 127.0.0.1:5480, from where --camera
+    flightgear takes its pictures. Says when it has loaded. Exit code 130 after Ctrl-C, 4 if
+    FlightGear ended by itself.
     """
     from rich.console import Console
 
-    from taxinet_ros.extras.flightgear.client import (
-        ADDRESS,
-        DEFAULT_ADDRESS,
-        failed,
-        flightgear_address,
-    )
-    from taxinet_ros.extras.flightgear.process import StartOptions, parse_size, started
+    from taxinet_ros.extras.flightgear.client import failed, flightgear_address
+    from taxinet_ros.extras.flightgear.process import parse_size, started
     from taxinet_ros.processes.interrupts import ToldInterrupt
 
-    host, usual = flightgear_address()
-    options = StartOptions(
-        host=host, port=usual if port is None else port, airport=at.upper(),
-        size_px=parse_size(size),
-    )
+    (host, port), size_px = flightgear_address(), parse_size(size)
     console = Console(highlight=False)
     begun_s = time.monotonic()
-    console.print(f'starting FlightGear at {options.airport}; this takes a minute or two')
+    console.print(f'starting FlightGear at {at.upper()}; this takes a minute or two')
     try:
-        with started(options) as process:
-            where = f'{options.host}:{options.port}'
-            aside = '' if where == DEFAULT_ADDRESS else f' (with {ADDRESS}={where})'
+        with started(host, port, airport=at, size_px=size_px) as process:
             console.print(
                 f'loaded in {time.monotonic() - begun_s:.0f} s: --camera flightgear takes its '
-                f'pictures from {where}{aside}; Ctrl-C ends it', soft_wrap=True,
+                f'pictures from {host}:{port}; Ctrl-C ends it', soft_wrap=True,
             )
             while not process.dead:
                 time.sleep(_LOOK_S)
@@ -86,28 +69,27 @@ def flightgear_doctor() -> None:
     console, broken = Console(highlight=False), False
     for name, check in _CHECKS.items():
         try:
-            for line in check():
-                console.print(f'{name}: {line}', soft_wrap=True, markup=False)
+            console.print(f'{name}: {check()}', soft_wrap=True, markup=False)
         except (UsageError, InfraError) as error:
             broken = True
             console.print(f'{name}: {error}', soft_wrap=True, markup=False)
     raise typer.Exit(ExitCode.INFRA if broken else ExitCode.OK)
 
 
-def _installed() -> Iterator[str]:
+def _installed() -> str:
     from taxinet_ros.extras.flightgear.process import find_program
 
-    yield f'{find_program("fgfs")}, {find_program("Xvfb")}'
+    return f'{find_program("fgfs")}, {find_program("Xvfb")}'
 
 
-def _running() -> Iterator[str]:
+def _running() -> str:
     from taxinet_ros.extras.flightgear.client import FlightGear, check_instance
 
     flightgear = FlightGear()
     try:
         check_instance(flightgear)
         width_px, height_px = flightgear.window_px
-        yield (
+        return (
             f'version {flightgear.value("/sim/version/flightgear")} at {flightgear.where}, window '
             f'of {width_px} x {height_px}'
         )
@@ -115,7 +97,7 @@ def _running() -> Iterator[str]:
         flightgear.close()
 
 
-def _pictures() -> Iterator[str]:
+def _pictures() -> str:
     import numpy as np
 
     from taxinet_ros.core.motion.aircraft import Aircraft
@@ -131,9 +113,9 @@ def _pictures() -> Iterator[str]:
     each_s = (time.monotonic() - begun_s) / _PICTURES
     again = camera.render(state, 0)
     away = int(np.abs(first.astype(np.int16) - again).max())
-    yield f'{each_s:.2f} s each; moved away and back, they differ by {away} of 255 at most'
+    return f'{each_s:.2f} s each; moved away and back, they differ by {away} of 255 at most'
 
 
-_CHECKS: dict[str, Callable[[], Iterator[str]]] = {
+_CHECKS: dict[str, Callable[[], str]] = {
     'installed': _installed, 'running': _running, 'pictures': _pictures,
 }

@@ -15,14 +15,13 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.extras.flightgear.client import AIRCRAFT, MOTION, FlightGear, failed
+from taxinet_ros.extras.flightgear.client import ADDRESS, AIRCRAFT, MOTION, FlightGear, failed
 from taxinet_ros.processes.child import ChildProcess
 
-DEFAULT_SIZE = 480, 288
+DEFAULT_SIZE_PX = 480, 288
 """Window that holds the wing camera's view at its own resolution."""
 _LEAST_PX, _MOST_PX = 64, 4096
 _PROGRAMS = {'fgfs': 'flightgear', 'Xvfb': 'xvfb'}
@@ -43,50 +42,18 @@ _OPTIONS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class StartOptions:
-    """How FlightGear is started.
-
-    Attributes:
-        host, port: address of its HTTP server.
-        airport: ICAO code of the airport whose terrain is loaded first.
-        size_px: width and height of its window.
-
-    Raises:
-        UsageError: a value is out of range.
-    """
-
-    host: str
-    port: int
-    airport: str = 'BIKF'
-    size_px: tuple[int, int] = DEFAULT_SIZE
-
-    def __post_init__(self) -> None:
-        if not all(_LEAST_PX <= side <= _MOST_PX for side in self.size_px):
-            width, height = self.size_px
-            raise UsageError(f'--size {width}x{height}: sides are {_LEAST_PX}..{_MOST_PX} px')
-        if not (self.airport.isalnum() and self.airport.isascii()):
-            raise UsageError(f'--at {self.airport}: not the code of an airport')
-
-
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height from ``480x288``.
-
-    Raises:
-        UsageError: not of this form.
-    """
+    """Width and height of a window in pixels from ``480x288``."""
     width, _, height = text.partition('x')
     if not all(part.isascii() and part.isdigit() and len(part) < 6 for part in (width, height)):
         raise UsageError(f'--size {text}: expected WIDTHxHEIGHT, such as 480x288')
+    if not all(_LEAST_PX <= int(side) <= _MOST_PX for side in (width, height)):
+        raise UsageError(f'--size {text}: sides are {_LEAST_PX}..{_MOST_PX} px')
     return int(width), int(height)
 
 
 def find_program(name: str) -> str:
-    """Path of a program.
-
-    Raises:
-        UsageError: it is not installed.
-    """
+    """Path of a program."""
     path = os.pathsep.join([os.environ.get('PATH', os.defpath), _GAMES])
     found = shutil.which(name, path=path)
     if found is None:
@@ -103,63 +70,61 @@ def home_folder() -> Path:
 
 
 @contextlib.contextmanager
-def started(options: StartOptions) -> Iterator[ChildProcess]:
+def started(
+    host: str, port: int, *, airport: str = 'BIKF', size_px: tuple[int, int] = DEFAULT_SIZE_PX
+) -> Iterator[ChildProcess]:
     """Context of a FlightGear that has loaded; it ends, with its display, at the end.
 
     Args:
-        options: how it is started.
-
-    Raises:
-        UsageError: a program is missing, its folder cannot be made, or the address is taken.
-        InfraError: it ends, or does not load.
+        host: of its HTTP server.
+        port: of it.
+        airport: ICAO code of the airport whose terrain is loaded first.
+        size_px: width and height of its window.
     """
+    if not (airport.isalnum() and airport.isascii()):
+        raise UsageError(f'--at {airport}: not the code of an airport')
     programs = {name: find_program(name) for name in _PROGRAMS}
-    _check_free(options)
-    home, width_height = home_folder(), options.size_px
+    _check_free(host, port)
+    home = home_folder()
     try:
         home.mkdir(parents=True, exist_ok=True)
-        log = home / f'fgfs-{options.port}.log'
+        log = home / f'fgfs-{port}.log'
         log.unlink(missing_ok=True)
     except OSError as error:
         raise UsageError(f'flightgear: {error.filename}: {error.strerror}') from error
-    with _display(programs['Xvfb'], width_height) as display:
+    with _display(programs['Xvfb'], size_px) as display:
         environment = {
             **os.environ, 'DISPLAY': display, 'FG_HOME': str(home), 'LIBGL_ALWAYS_SOFTWARE': '1',
             'GALLIUM_DRIVER': 'llvmpipe',
             # Without a session bus, its screen saver's request would abort it.
             'DBUS_FATAL_WARNINGS': '0',
         }
-        width, height = width_height
         command = [
-            programs['fgfs'], f'--httpd={options.host}:{options.port}',
-            f'--airport={options.airport}', f'--geometry={width}x{height}', *_OPTIONS,
+            programs['fgfs'], f'--httpd={host}:{port}', f'--airport={airport.upper()}',
+            f'--geometry={size_px[0]}x{size_px[1]}', *_OPTIONS,
         ]
         with ChildProcess(
             'fgfs', command, log=log, environment=environment, killed_with_parent=True,
         ) as process:
-            _await_loaded(process, options, log)
+            _await_loaded(process, FlightGear((host, port)), log)
             yield process
 
 
-def _check_free(options: StartOptions) -> None:
+def _check_free(host: str, port: int) -> None:
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((options.host, options.port))
+            probe.bind((host, port))
         except OSError as error:
             raise UsageError(
-                f'flightgear: {options.host}:{options.port}: {error.strerror}; choose another '
-                '--port, or use the one that runs there'
+                f'flightgear: {host}:{port}: {error.strerror}; choose another {ADDRESS}, or use '
+                'the one that runs there'
             ) from error
 
 
 @contextlib.contextmanager
 def _display(program: str, size_px: tuple[int, int]) -> Iterator[str]:
-    """Context of a virtual display; its number is the first free one.
-
-    Raises:
-        InfraError: it does not start.
-    """
+    """Context of a virtual display; its number is the first free one."""
     # The window is put somewhere in the middle.
     screen = f'{2 * size_px[0] + 256}x{2 * size_px[1] + 256}x24'
     reading, writing = os.pipe()
@@ -187,12 +152,10 @@ def _display(program: str, size_px: tuple[int, int]) -> Iterator[str]:
                 os.close(one)
 
 
-def _await_loaded(process: ChildProcess, options: StartOptions, log: Path) -> None:
-    flightgear, begun_s = FlightGear((options.host, options.port)), time.monotonic()
-    try:
-        while True:
-            if process.dead:
-                raise failed(InfraKind.DIED, f'fgfs ended while loading; see {log}')
+def _await_loaded(process: ChildProcess, flightgear: FlightGear, log: Path) -> None:
+    begun_s = time.monotonic()
+    with contextlib.closing(flightgear):
+        while not process.dead:
             waited_s = time.monotonic() - begun_s
             if waited_s > _LOAD_S:
                 raise failed(
@@ -202,5 +165,4 @@ def _await_loaded(process: ChildProcess, options: StartOptions, log: Path) -> No
                 if flightgear.value('/sim/sceneryloaded') is True:
                     return
             time.sleep(_POLL_S)
-    finally:
-        flightgear.close()
+    raise failed(InfraKind.DIED, f'fgfs ended while loading; see {log}')

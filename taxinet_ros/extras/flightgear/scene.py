@@ -44,12 +44,7 @@ class Ground:
     """FlightGear's runway and the heights of its ground, for one place."""
 
     def __init__(self, flightgear: FlightGear, place: Place) -> None:
-        """Ask for both, in about ten frames.
-
-        Raises:
-            UsageError: FlightGear has no such runway, or no terrain there.
-            InfraError: it does not answer.
-        """
+        """Ask for both, in about ten frames."""
         runway = place.runway
         ends = _nearest_runway(flightgear, place)
         self.moved_m = max(
@@ -331,11 +326,7 @@ _LEAST_SHARP = 0.75
 
 @lru_cache(maxsize=4)
 def lens_of(camera: CameraModel, width_px: int, height_px: int) -> Lens:
-    """The widest view's lens that a window can hold.
-
-    Raises:
-        UsageError: the window is too small for the camera.
-    """
+    """The widest view's lens that a window can hold."""
     rows, columns = np.mgrid[0:camera.height_px, 0:camera.width_px].astype(np.float64)
     x, y = camera.straight_rays(columns, rows)
     # Half a pixel is left at the edge, for interpolation.

@@ -77,14 +77,9 @@ def show_forecast(
         float | None,
         typer.Option(metavar='SECONDS', help='only the run up to here (default: all there is)'),
     ] = None,
-    confidence: Annotated[float, typer.Option(metavar='SHARE', help='of the bounds')] = 0.9,
-    guarantee: Annotated[
-        str,
-        typer.Option(
-            metavar='WORD', help='run: the bounds of all moments hold together; step: the bound of '
-            'one moment, chosen beforehand'
-        ),
-    ] = 'run',
+    confidence: Annotated[
+        float, typer.Option(metavar='SHARE', help='that all bounds of a run hold')
+    ] = 0.9,
     run_id: RunOption = None,
     plot: Annotated[
         Path | None,
@@ -103,6 +98,5 @@ def show_forecast(
     from taxinet_ros.extras.forecast.show import show_forecast
 
     raise typer.Exit(show_forecast(
-        forecast, bags, at_s=at, confidence=confidence, guarantee=guarantee, run_id=run_id,
-        plot=plot, as_json=as_json,
+        forecast, bags, at_s=at, confidence=confidence, run_id=run_id, plot=plot, as_json=as_json,
     ))

@@ -8,13 +8,10 @@ smallest of the n with a probability of at least c, whatever the predictor is wo
 gives low bounds. The probability is over new runs *and* calibrations: it is no promise for one
 scene, nor for the failing runs alone.
 
-Two guarantees, since somebody who watches a run looks at more than one moment:
-
-* ``Guarantee.STEP``: at a moment chosen beforehand, the bound holds with probability c;
-* ``Guarantee.RUN``: with probability c the bounds at *all* moments hold. The excess of a run is
-  here the largest of all moments, each in units of its usual size (Cleaveland et al., AAAI 2024;
-  Lindemann et al., IEEE RA-L 2023). If all bounds hold then so does the greatest so far, so these
-  bounds never fall during a run.
+Somebody who watches a run looks at more than one moment. So with probability c the bounds at *all*
+moments hold: the excess of a run is the largest of all moments, each in units of its usual size
+(Cleaveland et al., AAAI 2024; Lindemann et al., IEEE RA-L 2023). If all bounds hold then so does
+the greatest so far, so the bounds never fall during a run.
 
 The predictor is a low quantile of the outcomes of the most similar training runs at that moment
 (Romano et al., NeurIPS 2019, correct quantiles likewise); the usual size of its excess is the
@@ -26,7 +23,6 @@ scale.
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import dataclass, replace
 
@@ -45,13 +41,6 @@ FLOOR = 0.1
 """Share of a moment's usual excess that is added to the spread of similar runs."""
 _LOWEST = 1e6
 """A bound below minus this many scales says nothing; it is -inf."""
-
-
-class Guarantee(enum.StrEnum):
-    """What the confidence of bounds is about."""
-
-    STEP = 'step'
-    RUN = 'run'
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,15 +85,9 @@ class ConformalModel:
     def predictions(
         self, features: Floats, moment: int, *, apart: bool = False
     ) -> tuple[Floats, Floats]:
-        """Compressed predictions at a moment, and the usual size of their excess.
+        """Compressed predictions at a moment, (R,), and the usual size of their excess, (R,).
 
-        Args:
-            features: of runs, (R, F).
-            moment: which moment.
-            apart: whether they are the training runs, each to be predicted by the others.
-
-        Returns:
-            Both (R,).
+        ``apart``: the features (R, F) are of the training runs, each to be predicted by the others.
         """
         centre, spread = self._centre[moment], self._spread[moment]  # type: ignore[attr-defined]
         known = (self.features[:, moment] - centre) / spread
@@ -118,12 +101,8 @@ class ConformalModel:
         sizes = similar.std(axis=1) + FLOOR * self.widths[moment]
         return np.asarray(np.quantile(similar, QUANTILE, axis=1), dtype=np.float64), sizes
 
-    def margin(self, confidence: float, guarantee: Guarantee) -> Floats:
-        """How many usual sizes are taken off the compressed predictions, (T,).
-
-        Raises:
-            UsageError: there are too few calibration runs.
-        """
+    def margin(self, confidence: float) -> float:
+        """How many usual sizes are taken off the compressed predictions."""
         least = least_calibration_runs(confidence)
         number = self.calibration_runs
         if number < least:
@@ -132,33 +111,19 @@ class ConformalModel:
                 f'{number}; calibrate on a campaign of {2 * least} or more'
             )
         rank = math.ceil((number + 1) * confidence - 1e-9) - 1
-        if guarantee is Guarantee.RUN:
-            return np.full(self.moments, np.sort(self.excesses.max(axis=1))[rank])
-        return np.asarray(np.sort(self.excesses, axis=0)[rank], dtype=np.float64)
+        return float(np.sort(self.excesses.max(axis=1))[rank])
 
-    def bounds(
-        self, features: Floats, moment: int, margin: Floats
-    ) -> Floats:
-        """Lower bounds of runs at a moment, (R,); -inf where nothing is known.
-
-        Args:
-            features: of runs, (R, F).
-            moment: which moment.
-            margin: result of :meth:`margin`.
-        """
+    def bounds(self, features: Floats, moment: int, margin: float) -> Floats:
+        """Lower bounds of runs at a moment, (R,); -inf where nothing is known."""
         predicted, sizes = self.predictions(features, moment)
-        compressed = predicted - margin[moment] * sizes
+        compressed = predicted - margin * sizes
         lowest = -math.asinh(_LOWEST)
         found = self.scale * np.sinh(np.clip(compressed, lowest, -lowest))
         return np.where(compressed <= lowest, -np.inf, found)
 
 
 def least_calibration_runs(confidence: float) -> int:
-    """Fewest calibration runs for a confidence: 19 for 95 %.
-
-    Raises:
-        UsageError: it is out of range.
-    """
+    """Fewest calibration runs for a confidence: 19 for 95 %."""
     if not 0.5 <= confidence < 1:
         raise UsageError(f'--confidence {confidence:g}: needs to be within 0.5..1')
     return math.ceil(confidence / (1 - confidence) - 1e-9)
@@ -170,9 +135,6 @@ def fit(features: Floats, outcomes: Floats) -> ConformalModel:
     Args:
         features: of all runs, (R, T, F), in an order that does not depend on their outcomes.
         outcomes: of all runs, (R,).
-
-    Raises:
-        UsageError: fewer than 40 runs.
     """
     if len(outcomes) < 40:
         raise UsageError(f'{len(outcomes)} runs are too few to calibrate on; 40 are the least')

@@ -35,13 +35,7 @@ from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.forecast.conformal import (
-    DIGITS,
-    ConformalModel,
-    Floats,
-    Guarantee,
-    fit,
-)
+from taxinet_ros.extras.forecast.conformal import DIGITS, ConformalModel, Floats, fit
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
 FORMAT = 1
@@ -143,11 +137,8 @@ class Bound(NamedTuple):
 class LiveForecast:
     """The bound on one run, updated at each control step; see :meth:`Forecast.watch`."""
 
-    def __init__(
-        self, forecast: Forecast, confidence: float, guarantee: Guarantee
-    ) -> None:
-        self._forecast, self._guarantee = forecast, guarantee
-        self._margin = forecast.model.margin(confidence, guarantee)
+    def __init__(self, forecast: Forecast, confidence: float) -> None:
+        self._forecast, self._margin = forecast, forecast.model.margin(confidence)
         self._progress = Progress()
         self._lower = -math.inf
 
@@ -182,9 +173,8 @@ class LiveForecast:
         if rest == 0:
             features = self._progress.features()[None, :]
             found = float(forecast.model.bounds(features, moment, self._margin)[0])
-            # If the bounds of all moments hold together, so does the greatest of them.
-            of_run = self._guarantee is Guarantee.RUN
-            self._lower = max(found, self._lower) if of_run else found
+            # The bounds of all moments hold together, so the greatest of them does.
+            self._lower = max(found, self._lower)
         lower = max(min(self._lower, rho_upper), rho_lower)
         return Bound(round(step * STEP_S, 9), lower, rho_lower, rho_upper)
 
@@ -211,37 +201,32 @@ class Forecast:
     seed: int
     model: ConformalModel = field(repr=False)
 
-    def watch(
-        self, *, confidence: float = 0.9, guarantee: str = 'run'
-    ) -> LiveForecast:
+    def watch(self, *, confidence: float = 0.9) -> LiveForecast:
         """Begin to watch a run, for :meth:`LiveForecast.update` at each control step.
 
         Args:
-            confidence: of the bounds.
-            guarantee: ``run``: all bounds of the run hold together; ``step``: that of one moment.
+            confidence: that all bounds of the run hold together.
 
         Raises:
-            UsageError: too few calibration runs, or an unknown guarantee.
+            UsageError: too few calibration runs.
         """
-        return LiveForecast(self, confidence, parse_guarantee(guarantee))
+        return LiveForecast(self, confidence)
 
     def bounds_of(
-        self, recording: Recording, *, confidence: float = 0.9, guarantee: str = 'run',
-        until_s: float | None = None,
+        self, recording: Recording, *, confidence: float = 0.9, until_s: float | None = None,
     ) -> list[Bound]:
         """Bounds at each control step of a recorded run, or of what there is of one.
 
         Args:
             recording: the run; its bag may be incomplete.
-            confidence: of the bounds.
-            guarantee: see :meth:`watch`.
+            confidence: see :meth:`watch`.
             until_s: only the run up to here [s]; None: all of it.
 
         Raises:
             UsageError: it has no such requirement, or is longer than those calibrated on.
             BagError: it cannot be read.
         """
-        live = self.watch(confidence=confidence, guarantee=guarantee)
+        live = self.watch(confidence=confidence)
         found = []
         for step, sample in enumerate(samples_of(recording, self.spec)):
             if until_s is not None and step * STEP_S > until_s + 1e-9:
@@ -259,18 +244,6 @@ class Forecast:
             elif other != own:
                 found.append(f'{name} {_short(other)}, calibrated on {_short(own)}')
         return found
-
-
-def parse_guarantee(word: str) -> Guarantee:
-    """Parse ``run`` or ``step``.
-
-    Raises:
-        UsageError: it is neither.
-    """
-    try:
-        return Guarantee(word)
-    except ValueError:
-        raise UsageError(f'--guarantee {word}: unknown; known: run, step') from None
 
 
 def _short(text: str) -> str:
@@ -306,16 +279,7 @@ def samples_of(recording: Recording, spec: str) -> Iterator[Sample]:
 def population_of_campaign(
     facts: Mapping[str, Any], spec: str, duration_s: float
 ) -> dict[str, str]:
-    """What a campaign's runs have in common, as text by name.
-
-    Args:
-        facts: facts of the campaign.
-        spec: name of the requirement.
-        duration_s: length of its runs [s].
-
-    Raises:
-        UsageError: the campaign has no such requirement.
-    """
+    """What a campaign's runs have in common, as text by name."""
     formulas = facts.get('specs', {})
     if spec not in formulas:
         raise UsageError(f'--spec {spec}: the campaign judged {", ".join(formulas) or "nothing"}')
@@ -367,18 +331,7 @@ class Runs:
 def read_forecast_runs(
     campaign: RecordedCampaign, spec: str, every_steps: int, on_run: Any = None
 ) -> Runs:
-    """Read a campaign's runs from their bags; frames are not needed.
-
-    Args:
-        campaign: the campaign.
-        spec: name of the requirement.
-        every_steps: control steps between two moments.
-        on_run: called with the number done and their total, or None.
-
-    Raises:
-        UsageError: no run may count, one ended early, they differ in length, or a bag is missing or
-            unusable.
-    """
+    """Read a campaign's runs from their bags; frames are not needed."""
     folder = campaign.folder
     rows = [row for row in campaign.judged if row.from_program]
     chosen = len(campaign.judged) - len(rows)
@@ -446,17 +399,7 @@ def calibrate(
     campaign: RecordedCampaign, *, spec: str | None = None, every_s: float = 1.0,
     on_run: Any = None,
 ) -> Forecast:
-    """Train and calibrate on a campaign's runs.
-
-    Args:
-        campaign: the campaign, of at least 40 runs drawn by the program itself.
-        spec: name of the requirement; None: the headline.
-        every_s: time between two moments [s], a multiple of the control step.
-        on_run: called with the number of runs read and their total, or None.
-
-    Raises:
-        UsageError: its runs are no fixed number of independent draws, or too few.
-    """
+    """Train and calibrate on a campaign's runs."""
     steps = every_s / STEP_S
     every_steps = round(steps) if math.isfinite(steps) else 0
     if not 1 <= every_steps <= 10_000 or abs(steps - every_steps) > 1e-6:
@@ -483,69 +426,46 @@ class Coverage(NamedTuple):
     """How often bounds held on runs that were not calibrated on.
 
     Attributes:
-        guarantee: which guarantee.
         confidence: what was promised.
-        held: share of runs whose bound held: at all moments for ``run``, at the average moment for
-            ``step`` (its interval is that of the worst moment alone).
-        worst: of ``step``, the moment of the smallest share [s], and that share; else None.
-        held_if_failed: share of the violated runs for which it held, which nothing promises.
+        held: share of runs whose bounds held at all moments.
+        held_if_failed: share of the violated runs for which they held, which nothing promises.
         cleared_s: median time at which a run that passes has a bound above 0 [s]; None if most
             never have one before their end.
         wrongly_cleared: share of the violated runs whose bound was above 0 at some moment.
     """
 
-    guarantee: Guarantee
     confidence: float
     held: Rate
-    worst: tuple[float, Rate] | None
     held_if_failed: Rate
     cleared_s: float | None
     wrongly_cleared: Rate
 
 
-def bounds_at_moments(
-    forecast: Forecast, runs: Runs, confidence: float, guarantee: Guarantee
-) -> Floats:
+def bounds_at_moments(forecast: Forecast, runs: Runs, confidence: float) -> Floats:
     """Bounds of runs at all moments, (R, T)."""
-    margin = forecast.model.margin(confidence, guarantee)
-    found = np.stack([
+    margin = forecast.model.margin(confidence)
+    found = np.maximum.accumulate(np.stack([
         forecast.model.bounds(runs.features[:, moment], moment, margin)
         for moment in range(runs.features.shape[1])
-    ], axis=1)
-    if guarantee is Guarantee.RUN:
-        found = np.maximum.accumulate(found, axis=1)
+    ], axis=1), axis=1)
     return np.asarray(np.maximum(np.minimum(found, runs.certain[..., 1]), runs.certain[..., 0]))
 
 
-def coverage(
-    forecast: Forecast, runs: Runs, confidence: float, guarantee: Guarantee
-) -> Coverage:
+def coverage(forecast: Forecast, runs: Runs, confidence: float) -> Coverage:
     """Measure the coverage on other runs.
 
     Raises:
         UsageError: too few calibration runs for this confidence.
     """
-    bounds = bounds_at_moments(forecast, runs, confidence, guarantee)
-    held: NDArray[np.bool_] = np.greater_equal(runs.outcomes[:, None], bounds)
-    failed = np.array([row.outcome is Outcome.FAIL for row in runs.rows])
-    number = len(held)
-    if guarantee is Guarantee.RUN:
-        whole: NDArray[np.bool_] = np.asarray(held.all(axis=1))
-        share, worst = rate(int(whole.sum()), number), None
-        in_failed = rate(int(whole[failed].sum()), int(failed.sum()))
-    else:
-        per_moment = held.sum(axis=0)
-        moment = int(per_moment.argmin())
-        lowest = rate(int(per_moment[moment]), number)
-        share = Rate(float(held.mean()), lowest.low, lowest.high)
-        worst = (moment * forecast.every_steps * STEP_S, lowest)
-        in_failed = rate(int(held[failed, moment].sum()), int(failed.sum()))
+    bounds = bounds_at_moments(forecast, runs, confidence)
+    held = np.asarray(np.greater_equal(runs.outcomes[:, None], bounds).all(axis=1))
     above: NDArray[np.bool_] = np.greater(bounds, 0.0)
+    failed = np.array([row.outcome is Outcome.FAIL for row in runs.rows])
     when = np.where(above.any(axis=1), above.argmax(axis=1), 10**9)[~failed]
     middle = float(np.median(when)) if len(when) else math.inf
     return Coverage(
-        guarantee=guarantee, confidence=confidence, held=share, worst=worst,
-        held_if_failed=in_failed,
+        confidence=confidence, held=rate(int(held.sum()), len(held)),
+        held_if_failed=rate(int(held[failed].sum()), int(failed.sum())),
         cleared_s=middle * forecast.every_steps * STEP_S if middle < bounds.shape[1] else None,
         wrongly_cleared=rate(int(above[failed].any(axis=1).sum()), int(failed.sum())),
     )
@@ -564,17 +484,7 @@ def outside_of_campaign(forecast: Forecast, campaign: RecordedCampaign, runs: Ru
 def outside_of_run(
     forecast: Forecast, recording: Recording, campaign: RecordedCampaign | None
 ) -> list[str]:
-    """Why a run is outside the guarantee; empty if it is not.
-
-    Args:
-        forecast: the forecast.
-        recording: the run.
-        campaign: the campaign that it belongs to, or None if that is unknown.
-
-    Raises:
-        UsageError: the campaign was not judged by the forecast's requirement.
-        BagError: it cannot be read.
-    """
+    """Why a run is outside the guarantee; empty if it is not."""
     if campaign is None:
         return ['no campaign beside it, so its program, and whether this drew it, are unknown']
     run = recording.run.request

@@ -49,10 +49,6 @@ LIVE_PARAMETERS = (
         description='signal whose messages trigger samples',
     ),
     Parameter(
-        name='period', default=0.0, limits=(0.0, 1e6),
-        description='fixed sample period instead [s]; 0: off',
-    ),
-    Parameter(
         name='max_age', default=1.0, limits=(0.0, 1e6),
         description='maximum age of values and of gaps between samples [s]; 0: unlimited',
     ),
@@ -90,8 +86,7 @@ class LiveMonitorOptions:
         sources: sources of the signals.
         specs: the formulas.
         assumptions: assumptions on the signals.
-        sampled_on: signal whose messages trigger samples, or '' with a fixed period.
-        period_ns: sample period [ns], or 0.
+        sampled_on: signal whose messages trigger samples.
         max_age_ns: maximum age of a held value and maximum gap between samples [ns]; 0: unlimited.
         horizon_ns: length of a stretch [ns]; 0: unlimited.
         repeat: whether a new stretch starts when one ends.
@@ -102,7 +97,6 @@ class LiveMonitorOptions:
     specs: tuple[Spec, ...]
     assumptions: Assumptions
     sampled_on: str
-    period_ns: int
     max_age_ns: int
     horizon_ns: int
     repeat: bool
@@ -110,15 +104,13 @@ class LiveMonitorOptions:
 
 
 def declared_options(node: Node) -> LiveMonitorOptions:
-    """Declare the parameters of a node and validate their values.
-
-    Raises:
-        UsageError: a parameter is unknown, missing or wrong.
-    """
+    """Declare the parameters of a node and validate their values."""
     given = declare_all(node, LIVE_PARAMETERS)
     refuse_unknown(node)
     horizon_ns = round(given['horizon'] * NS_PER_S)
     try:
+        if given['repeat'] and not horizon_ns:
+            raise UsageError('repeat: needs a horizon > 0')
         found = parse_signals(given['signals'])
         names = {source.name: source.unit for source in found}
         specs = _parse_specs(given['specs'], names, horizon_ns)
@@ -126,11 +118,10 @@ def declared_options(node: Node) -> LiveMonitorOptions:
             sources=found,
             specs=specs,
             assumptions=_parse_assumptions(given['bounds'], given['rates'], list(names), specs),
-            sampled_on=_sampler(given['sampled_on'], given['period'], found),
-            period_ns=round(given['period'] * NS_PER_S),
+            sampled_on=_sampler(given['sampled_on'], list(names)),
             max_age_ns=round(given['max_age'] * NS_PER_S),
             horizon_ns=horizon_ns,
-            repeat=_repeats(given['repeat'], given['horizon']),
+            repeat=given['repeat'],
             by_clock=given['time_source'] == 'clock',
         )
     except UsageError as error:
@@ -172,19 +163,10 @@ def _parse_assumptions(
         raise UsageError(f'{kind}s: {rest}') from None
 
 
-def _sampler(sampled_on: str, period_s: float, sources: Sequence[SignalSource]) -> str:
-    names = [source.name for source in sources]
-    if sampled_on and period_s:
-        raise UsageError('sampled_on: no effect with period; give only one of them')
+def _sampler(sampled_on: str, names: Sequence[str]) -> str:
     if sampled_on and sampled_on not in names:
         raise UsageError(f'sampled_on: {sampled_on!r} is no signal; known: {", ".join(names)}')
-    return '' if period_s else sampled_on or names[0]
-
-
-def _repeats(repeat: bool, horizon_s: float) -> bool:
-    if repeat and not horizon_s:
-        raise UsageError('repeat: needs a horizon > 0')
-    return repeat
+    return sampled_on or names[0]
 
 
 _LOOK_S = 0.1
@@ -201,11 +183,7 @@ class LiveMonitor(Node):
     """
 
     def __init__(self, **node: Any) -> None:
-        """Create the node; ``node`` goes to :class:`rclpy.node.Node`.
-
-        Raises:
-            UsageError: a parameter is unknown, missing or wrong.
-        """
+        """Create the node; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(NAME, **node)
         self.ended: Future = Future()
         self._options = declared_options(self)
@@ -257,8 +235,7 @@ class LiveMonitor(Node):
             for source in reader.sources
         }
         return SampleHold(
-            topics, sampled_on=topics.get(options.sampled_on, ''), period_ns=options.period_ns,
-            max_age_ns=options.max_age_ns,
+            topics, sampled_on=topics[options.sampled_on], max_age_ns=options.max_age_ns
         )
 
     def _begin_stretch(self) -> None:
@@ -267,10 +244,8 @@ class LiveMonitor(Node):
         self._run_id = f'stretch-{self._stretch_number}'
         self._seq = -1
         self._newest_ns = 0
-        # With a fixed period, samples are regular, and max_age applies to the values.
         self._stretch = Stretch(
-            options.specs, horizon_ns=options.horizon_ns,
-            max_gap_ns=0 if options.period_ns else options.max_age_ns,
+            options.specs, horizon_ns=options.horizon_ns, max_gap_ns=options.max_age_ns,
             assumptions=options.assumptions,
         )
 
@@ -299,8 +274,7 @@ class LiveMonitor(Node):
         ]
         self._speak['specs'].publish(outputs.specs_message(
             options.specs, signals, sampled_on=options.sampled_on,
-            period=options.period_ns / NS_PER_S, max_age=options.max_age_ns / NS_PER_S,
-            horizon=options.horizon_ns / NS_PER_S,
+            max_age=options.max_age_ns / NS_PER_S, horizon=options.horizon_ns / NS_PER_S,
             time_source='clock' if options.by_clock else 'header',
         ))
 
@@ -310,7 +284,8 @@ class LiveMonitor(Node):
             self._clock_missing = stamp_ns == 0  # use_sim_time, and /clock is not published yet
             if self._clock_missing:
                 return
-        for sample in self._holder.arrive(topic, stamp_ns, readings):
+        sample = self._holder.arrive(topic, stamp_ns, readings)
+        if sample is not None:
             self._judge(sample)
 
     def _judge(self, sample: Sample) -> None:

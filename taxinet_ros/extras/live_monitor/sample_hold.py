@@ -1,8 +1,7 @@
 """Sample and hold: combines messages of several topics into samples of all signals.
 
-A sample is made either at each message of one topic, or on a grid of a fixed period. Sampling
-depends on stamps only, never on a timer, so equal messages in equal order give equal samples. A
-grid sample is made at the first message after it. The first sample waits until every signal has a
+A sample is made at each message of one topic. Sampling depends on stamps only, never on a timer, so
+equal messages in equal order give equal samples. The first sample waits until every signal has a
 fresh value. After that, a value that is too old or whose stamp went back is unusable: the sample
 has NaN in its place and the reason, and a monitor rejects it.
 """
@@ -14,9 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from taxinet_ros.core.types import NS_PER_S
-
-_MAX_FILL = 10_000
-"""Maximum number of grid samples made at one message; more means that time has jumped."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,23 +50,19 @@ class SampleHold:
 
     Args:
         topics: topic of each signal, by signal name.
-        sampled_on: topic whose messages each trigger a sample; '' for a grid.
-        period_ns: step of the grid [ns]; 0 with ``sampled_on``.
+        sampled_on: topic whose messages each trigger a sample.
         max_age_ns: maximum distance between the stamps of a held value and of the sample [ns]; 0:
             unlimited.
     """
 
     def __init__(
-        self, topics: Mapping[str, str], *, sampled_on: str = '', period_ns: int = 0,
-        max_age_ns: int = 0,
+        self, topics: Mapping[str, str], *, sampled_on: str, max_age_ns: int = 0
     ) -> None:
         self._topics = dict(topics)
         self._sampled_on = sampled_on
-        self._period_ns = period_ns
         self._max_age_ns = max_age_ns
         self._held: dict[str, Value] = {}
         self._newest_ns: dict[str, int] = {}
-        self._next_ns: int | None = None
         self._begun = False
 
     @property
@@ -82,24 +74,20 @@ class SampleHold:
         """Wait for a first sample again; usable values stay held, stamps may restart."""
         self._held = {name: held for name, held in self._held.items() if not held.trouble}
         self._newest_ns.clear()
-        self._next_ns = None
         self._begun = False
 
     def arrive(
         self, topic: str, stamp_ns: int, readings: Mapping[str, tuple[float, str]]
-    ) -> list[Sample]:
-        """Process a message; return the samples that are now complete, usually one.
+    ) -> Sample | None:
+        """Process a message; return the sample that it triggers, if any.
 
         Args:
             topic: topic of the message.
             stamp_ns: stamp of the message [ns].
             readings: value and trouble (or '') of every signal that is read from the topic.
         """
-        filled = self._fill(stamp_ns) if self._period_ns else []
         self._hold(topic, stamp_ns, readings)
-        if topic == self._sampled_on or (self._period_ns and not self._begun):
-            return self._sample(stamp_ns)
-        return filled
+        return self._sample(stamp_ns) if topic == self._sampled_on else None
 
     def _hold(
         self, topic: str, stamp_ns: int, readings: Mapping[str, tuple[float, str]]
@@ -116,23 +104,21 @@ class SampleHold:
         for name, (value, trouble) in readings.items():
             self._held[name] = Value(value=value, stamp_ns=stamp_ns, trouble=trouble)
 
-    def _sample(self, stamp_ns: int) -> list[Sample]:
+    def _sample(self, stamp_ns: int) -> Sample | None:
         """Sample at a stamp; none before all signals have a fresh value."""
-        stale = {name: self._stale(name, stamp_ns) for name in self._held}
-        if not self._begun and (self.missing or any(stale.values())):
-            return []
-        if not self._begun:
-            self._begun = True
-            self._next_ns = stamp_ns + self._period_ns
         troubles = {
-            name: held.trouble or stale[name]
-            for name, held in self._held.items() if held.trouble or stale[name]
+            name: trouble for name, held in self._held.items()
+            if (trouble := held.trouble or self._stale(name, stamp_ns))
         }
+        if not self._begun:
+            if self.missing or any(self._stale(name, stamp_ns) for name in self._held):
+                return None
+            self._begun = True
         values = {
             name: math.nan if name in troubles else held.value
             for name, held in self._held.items()
         }
-        return [Sample(stamp_ns=stamp_ns, values=values, troubles=troubles)]
+        return Sample(stamp_ns=stamp_ns, values=values, troubles=troubles)
 
     def _stale(self, name: str, stamp_ns: int) -> str:
         age_ns = stamp_ns - self._held[name].stamp_ns
@@ -142,22 +128,3 @@ class SampleHold:
         if age_ns > 0:
             return f'{name} is {age_ns / NS_PER_S:.3f} s old ({limit})'
         return f'{name} is stamped {-age_ns / NS_PER_S:.3f} s after the sample ({limit})'
-
-    def _fill(self, stamp_ns: int) -> list[Sample]:
-        """Grid samples before a message's stamp, with the values held before the message."""
-        if self._next_ns is None or stamp_ns <= self._next_ns:
-            return []
-        steps = -((self._next_ns - stamp_ns) // self._period_ns)
-        first_ns = self._next_ns
-        self._next_ns += steps * self._period_ns
-        if steps > _MAX_FILL:
-            jump = f'time jumped by {(stamp_ns - first_ns) / NS_PER_S:g} s'
-            names = self._held
-            return [Sample(
-                stamp_ns=first_ns, values=dict.fromkeys(names, math.nan),
-                troubles=dict.fromkeys(names, jump),
-            )]
-        return [
-            sample for step in range(steps)
-            for sample in self._sample(first_ns + step * self._period_ns)
-        ]

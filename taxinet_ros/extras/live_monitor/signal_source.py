@@ -39,11 +39,7 @@ class FieldPath:
 
 
 def parse_field_path(text: str) -> FieldPath:
-    """Parse a path: field names joined by dots, with an index in brackets after an array.
-
-    Raises:
-        UsageError: invalid path.
-    """
+    """Parse a path: field names joined by dots, with an index in brackets after an array."""
     steps: list[str | int] = []
     for part in text.split('.'):
         match = _STEP.fullmatch(part.strip())
@@ -64,9 +60,6 @@ def check_field(path: FieldPath, type_name: str, fields_of: FieldsOf) -> None:
         path: the path.
         type_name: type of the whole message, ``package/Name``.
         fields_of: gives the fields of this type and of nested types.
-
-    Raises:
-        UsageError: no such field, or not a number; the message lists the fields.
     """
     kind, done = type_name, FieldPath(())
     for step in path.steps:
@@ -108,11 +101,7 @@ def _member(done: FieldPath, kind: str, name: str, fields_of: FieldsOf) -> str:
 
 
 def number_at(message: Any, path: FieldPath) -> float:
-    """Number at a path that :func:`check_field` has accepted; a boolean is 1 or 0.
-
-    Raises:
-        LookupError: the array in the message is too short; the error gives its length.
-    """
+    """Number at a path that :func:`check_field` has accepted; a boolean is 1 or 0."""
     value, done = message, ''
     for step in path.steps:
         if isinstance(step, int):
@@ -169,11 +158,7 @@ class SignalSource:
 
 
 def parse_signals(texts: Iterable[str]) -> tuple[SignalSource, ...]:
-    """Parse sources, each ``NAME=/topic:field.path``, optionally ``NAME[unit]`` and ``*factor``.
-
-    Raises:
-        UsageError: an invalid text, a reserved name, or a repeated name.
-    """
+    """Parse sources, each ``NAME=/topic:field.path``, optionally ``NAME[unit]`` and ``*factor``."""
     found: dict[str, SignalSource] = {}
     for text in texts:
         try:

@@ -28,9 +28,6 @@ def message_class(type_name: str) -> type[Any]:
 
     Type names come from the network, so only packages made by the ROS interface generators are
     imported.
-
-    Raises:
-        UsageError: the name is not a message type, or its package is not installed or lacks it.
     """
     match = _TYPE.fullmatch(type_name)
     if match is None:
@@ -52,11 +49,7 @@ def fields_of(type_name: str) -> Mapping[str, str]:
 
 
 def offered_type(topic: str, publishers: Sequence[TopicEndpointInfo]) -> str:
-    """The common type of a topic's publishers.
-
-    Raises:
-        UsageError: they disagree.
-    """
+    """The common type of a topic's publishers."""
     types = sorted({info.topic_type for info in publishers})
     if len(types) != 1:
         raise UsageError(f'topic {topic} has publishers of {len(types)} types: {", ".join(types)}')
@@ -132,12 +125,7 @@ class TopicReader:
         return qos_words(self._qos) if self._qos is not None else ''
 
     def look(self) -> bool:
-        """Match the subscription to the current publishers; return whether there is one.
-
-        Raises:
-            UsageError: publishers disagree on the type, the type is not installed, or a signal
-                reads a missing field.
-        """
+        """Match the subscription to the current publishers; return whether there is one."""
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         if self.type_name:
             publishers = [info for info in publishers if info.topic_type == self.type_name]

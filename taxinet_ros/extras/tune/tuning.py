@@ -27,7 +27,7 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_shift,
 )
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene, SceneSet
-from taxinet_ros.campaign.past_runs.trials import System, Trial, TrialRecord, trial_pool
+from taxinet_ros.campaign.past_runs.trials import Trial, TrialRecord, TrialSystem, trial_pool
 from taxinet_ros.campaign.samplers.optuna_study import SEEDS, new_study, quiet
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.perception.perception import check_perception
@@ -125,9 +125,9 @@ class TuneOptions:
             UsageError: it is not.
         """
         check_perception(self.perception)
-        if self.learning.controller != STEERING:
+        if (controller := self.system.controller) != STEERING:
             raise UsageError(
-                f'{self.learning.source}: its controller is {self.learning.controller}, which has '
+                f'{self.learning.source}: its controller is {controller}, which has '
                 'no steering gains'
             )
         seen = {repr(scene.scenario) for scene in self.learning.scenes}
@@ -140,9 +140,9 @@ class TuneOptions:
         SteeringGains(**self.start)
 
     @property
-    def system(self) -> System:
+    def system(self) -> TrialSystem:
         """The system without gains, which each candidate has its own of."""
-        return dataclasses.replace(self.learning.system(self.perception), gains={})
+        return dataclasses.replace(self.learning.system_with(self.perception), gains={})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -458,7 +458,7 @@ def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
     """Plain values of a result."""
     return {
         'program': options.learning.source, 'perception': options.perception,
-        'spec': options.learning.judging.headline, 'seed': options.seed,
+        'spec': options.system.judging.headline, 'seed': options.seed,
         'varied': {one.name: [one.low, one.high] for one in options.varied},
         'scenes': tuned.scenes, 'runs': tuned.runs, 'verdict': tuned.verdict,
         'start': _candidate_json(tuned.start), 'found': _candidate_json(tuned.found),

@@ -27,19 +27,12 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.extras.xplane.screen import (
-    Display,
-    Picture,
-    Screen,
-    check_picture,
-    developed,
-    field_of_view_deg,
-)
 from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
 from taxinet_ros.extras.xplane.simulator import POSITION, XPlane, pose_of
 from taxinet_ros.extras.xplane.sky import Setting
 from taxinet_ros.extras.xplane.wire import failed
 
+Picture = NDArray[np.uint8]
 _VIEW = 'sim/graphics/view/'
 _MOVED_M, _TURNED_RAD = 0.05, 2e-3
 """Motion after which no picture stays the same to the last bit."""
@@ -50,8 +43,117 @@ _LEAST_SHARP = 0.75
 """Least resolution of X-Plane's picture, as a share of the camera's."""
 _NEAR_M, _NEAR_DEG = 0.05, 0.2
 """Greatest distance of the view from the mounted camera."""
+_LEAST_CODES = 2.0
+"""Standard deviation of a picture that shows anything, in display codes."""
 
-OpenScreen = Callable[[str, tuple[int, int, int, int] | None], Screen]
+
+class Display:
+    """A region of an X11 display, as X-Plane has no interface that gives pictures.
+
+    It runs in full screen on a display of its own (a virtual desktop, or Xvfb where OpenGL works
+    there), or in a window that nothing covers.
+    """
+
+    def __init__(self, display: str, region_px: tuple[int, int, int, int] | None) -> None:
+        """Connect.
+
+        Args:
+            display: as ``:1``; '' for that of the environment.
+            region_px: left, top, width and height; None for the first monitor.
+        """
+        try:
+            import mss
+        except ImportError:
+            raise UsageError(
+                "x-plane: pictures need the package mss; pip install 'taxinet_ros[xplane]'"
+            ) from None
+        self._words = f'display {display or "of the environment"}'
+        try:
+            self._mss = mss.MSS(display=display or None)
+            monitors = self._mss.monitors
+        except Exception as error:  # of X11, by any of its ways
+            text = str(error).partition('\n')[0]
+            raise failed(InfraKind.NOT_READY, f'{self._words}: {text:.120}') from error
+        whole, first = monitors[0], monitors[min(1, len(monitors) - 1)]
+        left, top, width, height = region_px or tuple(
+            first[key] for key in ('left', 'top', 'width', 'height')
+        )
+        if left + width > whole['width'] or top + height > whole['height']:
+            self.close()
+            raise UsageError(
+                f'x-plane: region_px {left}, {top}, {width}, {height} is not within the '
+                f'{whole["width"]} x {whole["height"]} of {self._words}'
+            )
+        self._region = {'left': left, 'top': top, 'width': width, 'height': height}
+
+    def grab(self) -> Picture:
+        """The picture now, (height, width, 3) uint8 RGB."""
+        try:
+            shot = self._mss.grab(self._region)
+        except Exception as error:  # of X11, by any of its ways
+            text = str(error).partition('\n')[0]
+            raise failed(InfraKind.DIED, f'{self._words}: {text:.120}') from error
+        bgra = np.frombuffer(shot.raw, np.uint8).reshape(shot.height, shot.width, 4)
+        return np.ascontiguousarray(bgra[:, :, 2::-1])
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._mss.close()
+
+
+OpenScreen = Callable[[str, tuple[int, int, int, int] | None], Display]
+
+
+def check_picture(picture: Picture, size_px: tuple[int, int]) -> None:
+    """Check that a picture is of the size that X-Plane tells of its window, and shows anything."""
+    height, width = picture.shape[:2]
+    if (width, height) != size_px:
+        raise failed(
+            InfraKind.SIM, f'the picture has {width} x {height} pixels, the window of X-Plane '
+            f'{size_px[0]} x {size_px[1]}; set region_px, or the resolution in X-Plane'
+        )
+    if picture.std() < _LEAST_CODES:
+        raise failed(
+            InfraKind.SIM, 'the picture has one colour: is X-Plane minimised, covered or on '
+            'another desktop?'
+        )
+
+
+def field_of_view_deg(model: CameraModel, size_px: tuple[int, int]) -> float:
+    """Horizontal field of view of a window that contains all of a camera's picture [deg]."""
+    width, height = size_px
+    x, y = _rays(model)
+    reach = max(float(np.abs(x).max()), float(np.abs(y).max()) * width / height)
+    return float(np.degrees(2 * np.arctan(reach)))
+
+
+def developed(picture: Picture, model: CameraModel, fov_deg: float) -> Picture:
+    """The picture of a camera out of a window's, through its lens.
+
+    The optical axis meets the middle of the window. A window with more pixels is shrunk before it
+    is sampled, each pixel the mean of those it covers.
+    """
+    import cv2
+
+    height, width = picture.shape[:2]
+    focal_px = width / 2 / np.tan(np.radians(fov_deg) / 2)
+    shrink = min(1.0, max(model.focal_px) / focal_px)
+    size = max(1, round(width * shrink)), max(1, round(height * shrink))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if shrink < 1 else picture
+    x, y = _rays(model)
+    # Pixel centres are integers: the middle of the window is half a pixel before the middle one.
+    u = (focal_px * x + width / 2) * size[0] / width - 0.5
+    v = (focal_px * y + height / 2) * size[1] / height - 0.5
+    return np.asarray(cv2.remap(
+        small, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    ))
+
+
+def _rays(model: CameraModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Undistorted directions x/z and y/z of a camera's pixels, (height, width) each."""
+    matrix, _, u, v = model.inner_view
+    return (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
 
 
 class ViewFromXPlane:
@@ -62,19 +164,8 @@ class ViewFromXPlane:
         fov_deg: horizontal field of view of the window [deg].
     """
 
-    def __init__(self, xplane: XPlane, model: CameraModel, screen: Screen) -> None:
-        """Select the view and move it to where the camera is mounted.
-
-        Args:
-            xplane: running, the aircraft held and paused.
-            model: the camera.
-            screen: where X-Plane's picture is.
-
-        Raises:
-            InfraError: the view does not obey.
-            UsageError: the camera's picture is wider than X-Plane's can be, or has what its
-                pictures do not show.
-        """
+    def __init__(self, xplane: XPlane, model: CameraModel, screen: Display) -> None:
+        """Select the view and move it to where the camera is mounted, X-Plane paused."""
         self._xplane, self._model, self._screen = xplane, model, screen
         self._last: tuple[AircraftState, Picture] | None = None
         if model.exposure_ev or model.noise_codes:
@@ -144,22 +235,10 @@ class ViewFromXPlane:
             'pilots_head_phi': math.degrees(self._model.roll_rad),
             'field_of_view_deg': self.fov_deg,
         }
-        return [
-            Setting(name=f'{_VIEW}{name}', value=value, within=0.01)
-            for name, value in values.items()
-        ]
+        return [Setting(f'{_VIEW}{name}', value, within=0.01) for name, value in values.items()]
 
     def take(self, state: AircraftState, time_s: float) -> NDArray[np.uint8]:
-        """Picture of the aircraft at a state, where X-Plane has it already.
-
-        Args:
-            state: the state.
-            time_s: time of the simulation, which stands still [s].
-
-        Raises:
-            InfraError: the picture is of another size, of one colour, or does not change; or
-                something that was set for the run has changed.
-        """
+        """Picture of the aircraft at a state, where X-Plane has it; its time [s] stands still."""
         picture = self._taken(state)
         # After the picture: whoever presses a key may do it any time before.
         self._xplane.check_still(time_s)
@@ -211,21 +290,11 @@ class XPlaneCamera:
         self, scenario: Scenario, setup: XPlaneSetup | None = None,
         open_screen: OpenScreen = Display,
     ) -> None:
-        """Prepare X-Plane for a run: pause, hold, place, light and weather, settle, view.
-
-        Args:
-            scenario: of the run.
-            setup: where X-Plane is; None for the environment's.
-            open_screen: connects to the display.
-
-        Raises:
-            InfraError: X-Plane fails, or there is no picture.
-            UsageError: a value in the setup cannot be used.
-        """
+        """Prepare X-Plane for a run: pause, hold, place, light and weather, settle, view."""
         setup = setup or chosen_setup()
         self._scenario = scenario
         self._xplane = XPlane(setup)
-        self._screen: Screen | None = None
+        self._screen: Display | None = None
         try:
             self._screen = open_screen(setup.display, setup.region_px)
             start = pose_of(scenario, Aircraft(scenario).state)
@@ -237,11 +306,7 @@ class XPlaneCamera:
             raise
 
     def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
-        """Picture of a state; the light is that of the scenario for the whole run.
-
-        Raises:
-            InfraError: X-Plane fails, or does not show it.
-        """
+        """Picture of a state; the light is that of the scenario for the whole run."""
         self._xplane.place(pose_of(self._scenario, state))
         return self._view.take(state, self._time_s)
 

@@ -30,14 +30,14 @@ def xplane_doctor(
 
     Exit code 4 if something does not work.
     """
-    from taxinet_ros.extras.xplane.doctor import Doctor
+    from taxinet_ros.extras.xplane.doctor import findings
     from taxinet_ros.extras.xplane.setup import VARIABLE, chosen_setup, read_setup
 
     chosen = chosen_setup() if setup is None else read_setup(setup)
     where = setup or f'{VARIABLE} or its defaults'
     print(f'ok   setup     {chosen.wire} at {chosen.host}:{chosen.port}, of {where}', flush=True)
     bad = False
-    for found in Doctor(chosen).findings():
+    for found in findings(chosen):
         bad |= found.fine is False
         print(f'{_MARKS[found.fine]:<4} {found.name:<9} {found.words}', flush=True)
     raise typer.Exit(ExitCode.INFRA if bad else ExitCode.OK)

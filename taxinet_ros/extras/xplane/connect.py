@@ -13,7 +13,6 @@ import math
 import socket
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 from taxinet_ros.core.datarefs import split_name
@@ -23,29 +22,8 @@ from taxinet_ros.extras.xplane.wire import Value, address_of, failed
 PORT = 49009
 _POSITION = struct.Struct('<4sxBdddffff')
 _REPLY_BYTES = 16384
-_KEEP_GEAR = -1.0
 _MOST_NAMES = 16
 _T = TypeVar('_T')
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Position:
-    """Where an aircraft is, as X-Plane counts it.
-
-    Attributes:
-        latitude_deg, longitude_deg: of its reference point, WGS84 [deg].
-        altitude_m: of it above sea level [m].
-        pitch_deg: nose up positive [deg].
-        roll_deg: right wing down positive [deg].
-        heading_deg: true, clockwise from north [deg].
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float
-    pitch_deg: float
-    roll_deg: float
-    heading_deg: float
 
 
 class XPlaneConnect:
@@ -63,17 +41,7 @@ class XPlaneConnect:
     def __init__(
         self, host: str, port: int = PORT, *, timeout_s: float = 1.0, tries: int = 3
     ) -> None:
-        """Look up the host and open a socket; nothing is sent yet.
-
-        Args:
-            host: name or address of the simulator.
-            port: of the plug-in.
-            timeout_s: wait for each answer [s].
-            tries: how often a question is sent.
-
-        Raises:
-            UsageError: unknown host.
-        """
+        """Look up the host (UsageError if unknown) and open a socket; nothing is sent yet."""
         self.words = f'XPlaneConnect at {host}:{port}'
         self._address = address_of(host), port
         self._timeout_s, self._tries = timeout_s, tries
@@ -137,16 +105,9 @@ class XPlaneConnect:
         """Nothing: the plug-in does not tell."""
         return ''
 
-    def position(self) -> Position:
-        """Where the user's aircraft is (GETP)."""
+    def position(self) -> tuple[float, ...]:
+        """Latitude, longitude, pitch, roll and true heading of the user's aircraft (GETP) [deg]."""
         return self._ask(b'GETP\0\0', parse_position)
-
-    def place(self, position: Position) -> None:
-        """Place the user's aircraft (POSI), its landing gear as it is; nothing is confirmed."""
-        self._send(_POSITION.pack(
-            b'POSI', 0, position.latitude_deg, position.longitude_deg, position.altitude_m,
-            position.pitch_deg, position.roll_deg, position.heading_deg, _KEEP_GEAR,
-        ))
 
     def _send(self, packet: bytes) -> None:
         try:
@@ -175,11 +136,7 @@ class XPlaneConnect:
 
 
 def parse_rows(reply: bytes, count: int) -> list[tuple[float, ...]]:
-    """Read the reply to GETD, ``RESP``: one row of values for each name; empty if it is unknown.
-
-    Raises:
-        InfraError: it is malformed, or a value is not finite.
-    """
+    """Read the reply to GETD, ``RESP``: one row of values for each name; empty if it is unknown."""
     rows, at = [], 6
     try:
         told = reply[5] if reply[:4] == b'RESP' else -1
@@ -195,20 +152,13 @@ def parse_rows(reply: bytes, count: int) -> list[tuple[float, ...]]:
     return rows
 
 
-def parse_position(reply: bytes) -> Position:
-    """Read the reply to GETP, ``POSI``; its first field is the gear handle, not the aircraft.
-
-    Raises:
-        InfraError: it is malformed, or of an older plug-in.
-    """
+def parse_position(reply: bytes) -> tuple[float, ...]:
+    """Read the reply to GETP, ``POSI``; its first field is the gear handle, not the aircraft."""
     if len(reply) != _POSITION.size or reply[:4] != b'POSI':
         # 34 bytes: plug-ins before 1.3 tell latitude as a float, to a metre.
         raise _malformed(reply, f'POSI in {_POSITION.size} bytes, as of plug-in 1.3')
-    _, _, latitude, longitude, altitude, pitch, roll, heading, _ = _POSITION.unpack(reply)
-    return Position(
-        latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude, pitch_deg=pitch,
-        roll_deg=roll, heading_deg=heading,
-    )
+    _, _, latitude, longitude, _, pitch, roll, heading, _ = _POSITION.unpack(reply)
+    return latitude, longitude, pitch, roll, heading
 
 
 def _counted(name: str) -> bytes:

@@ -54,23 +54,14 @@ class XPlaneSetup:
     frames: int = 3
 
     def open(self) -> WebApi | XPlaneConnect:
-        """Open the interface.
-
-        Raises:
-            InfraError: nothing answers there.
-            UsageError: unknown host.
-        """
+        """Open the interface."""
         if self.wire == 'connect':
             return XPlaneConnect(self.host, self.port, timeout_s=self.timeout_s)
         return WebApi(self.host, self.port, timeout_s=self.timeout_s)
 
 
 def read_setup(path: Path) -> XPlaneSetup:
-    """Read a file.
-
-    Raises:
-        UsageError: an unreadable file, or an invalid value.
-    """
+    """Read a file."""
     top = Section(path, read_yaml(path, option=VARIABLE), _KEYS)
     wire = top.word('wire', tuple(WIRES), 'web')
     if 'aircraft' in top and wire != 'web':
@@ -98,10 +89,6 @@ def _region(top: Section) -> tuple[int, int, int, int] | None:
 
 
 def chosen_setup() -> XPlaneSetup:
-    """The setup of the environment.
-
-    Raises:
-        UsageError: the file cannot be read, or has an invalid value.
-    """
+    """The setup of the environment."""
     path = os.environ.get(VARIABLE, '')
     return read_setup(Path(path)) if path else XPlaneSetup()

@@ -17,13 +17,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, warn_once
-from taxinet_ros.extras.xplane.connect import Position, XPlaneConnect
+from taxinet_ros.extras.xplane.connect import XPlaneConnect
 from taxinet_ros.extras.xplane.setup import XPlaneSetup
 from taxinet_ros.extras.xplane.sky import (
     REGENERATE,
@@ -34,6 +35,7 @@ from taxinet_ros.extras.xplane.sky import (
 )
 from taxinet_ros.extras.xplane.wire import Value, address_of, failed
 
+_T = TypeVar('_T')
 POSITION = 'sim/flightmodel/position/'
 FRAME_MARKS = ('sim/time/total_running_time_sec', 'sim/time/framerate_period')
 """A frame changes one of them at least, paused or not: the time that X-Plane has been up, and how
@@ -44,9 +46,10 @@ PAUSED, SPEED = 'sim/time/paused', 'sim/time/sim_speed'
 HELD = 'sim/operation/override/override_planepath[0]'
 NAME = 'sim/aircraft/view/acf_ui_name'
 VERSION = 'sim/version/xplane_internal_version'
-LATITUDE, LONGITUDE = f'{POSITION}latitude', f'{POSITION}longitude'
 HEIGHT = f'{POSITION}y_agl'
-TRUE_HEADING = f'{POSITION}true_psi'
+_WHERE = tuple(
+    f'{POSITION}{name}' for name in ('latitude', 'longitude', 'theta', 'phi', 'true_psi')
+)
 
 NEAR_M, NEAR_DEG = 0.02, 0.05
 """Greatest differences of a pose that is read back."""
@@ -60,15 +63,22 @@ _MERIDIAN_M = 111_132.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Pose:
-    """Where the user's aircraft is.
+    """Where the user's aircraft is, as X-Plane counts it.
 
     Attributes:
-        position: as X-Plane counts it.
-        height_m: of its reference point above X-Plane's ground [m].
+        latitude_deg, longitude_deg: of its reference point, WGS84 [deg].
+        height_m: of that above X-Plane's ground [m].
+        pitch_deg: nose up positive [deg].
+        roll_deg: right wing down positive [deg].
+        heading_deg: true, clockwise from north [deg].
     """
 
-    position: Position
+    latitude_deg: float
+    longitude_deg: float
     height_m: float
+    pitch_deg: float
+    roll_deg: float
+    heading_deg: float
 
     def state(self, scenario: Scenario, speed_mps: float, rate_degps: float) -> AircraftState:
         """The state in ``map``.
@@ -78,17 +88,29 @@ class Pose:
             speed_mps: ground speed.
             rate_degps: rate of the heading, clockwise positive.
         """
-        there, frame = self.position, runway_frame(scenario.runway)
+        frame = runway_frame(scenario.runway)
         found = frame.to_map(GeodeticPose(
-            latitude_rad=math.radians(there.latitude_deg),
-            longitude_rad=math.radians(there.longitude_deg),
+            latitude_rad=math.radians(self.latitude_deg),
+            longitude_rad=math.radians(self.longitude_deg),
             altitude_m=frame.elevation_m + self.height_m,
-            heading_rad=math.radians(there.heading_deg),
+            heading_rad=math.radians(self.heading_deg),
         ))
         return AircraftState(
             x_m=found.x_m, y_m=found.y_m, z_m=self.height_m,
-            roll_rad=math.radians(there.roll_deg), pitch_rad=-math.radians(there.pitch_deg),
+            roll_rad=math.radians(self.roll_deg), pitch_rad=-math.radians(self.pitch_deg),
             yaw_rad=found.yaw_rad, speed_mps=speed_mps, yaw_rate_radps=-math.radians(rate_degps),
+        )
+
+    def away(self, now: Pose) -> tuple[float, float, float, float]:
+        """What another pose lacks to this one: east, north, up [m] and the largest turn [deg]."""
+        parallel_m = _MERIDIAN_M * math.cos(math.radians(self.latitude_deg))
+        return (
+            _turn(self.longitude_deg, now.longitude_deg) * parallel_m,
+            (self.latitude_deg - now.latitude_deg) * _MERIDIAN_M, self.height_m - now.height_m,
+            max(
+                abs(_turn(getattr(self, name), getattr(now, name)))
+                for name in ('heading_deg', 'pitch_deg', 'roll_deg')
+            ),
         )
 
 
@@ -98,13 +120,10 @@ def pose_of(scenario: Scenario, state: AircraftState) -> Pose:
         MapPose(x_m=state.x_m, y_m=state.y_m, z_m=state.z_m, yaw_rad=state.yaw_rad)
     )
     return Pose(
-        height_m=state.z_m,
-        position=Position(
-            latitude_deg=math.degrees(there.latitude_rad),
-            longitude_deg=math.degrees(there.longitude_rad), altitude_m=there.altitude_m,
-            pitch_deg=-math.degrees(state.pitch_rad), roll_deg=math.degrees(state.roll_rad),
-            heading_deg=math.degrees(there.heading_rad),
-        ),
+        latitude_deg=math.degrees(there.latitude_rad),
+        longitude_deg=math.degrees(there.longitude_rad), height_m=state.z_m,
+        pitch_deg=-math.degrees(state.pitch_rad), roll_deg=math.degrees(state.roll_rad),
+        heading_deg=math.degrees(there.heading_rad),
     )
 
 
@@ -117,12 +136,7 @@ class XPlane:
     """
 
     def __init__(self, setup: XPlaneSetup) -> None:
-        """Wait for our turn, and connect.
-
-        Raises:
-            InfraError: nothing answers.
-            UsageError: unknown host.
-        """
+        """Wait for our turn, and connect."""
         self.setup, self._up_s = setup, 0.0
         self._watched: Iterator[Callable[[], None]] = iter(())
         with contextlib.ExitStack() as opened:
@@ -134,11 +148,7 @@ class XPlane:
             self._opened = opened.pop_all()
 
     def close(self, *overrides: str) -> None:
-        """Let the aircraft go, resume the simulation, and disconnect.
-
-        Args:
-            overrides: further overrides to be ended.
-        """
+        """Let the aircraft go, end further overrides, resume the simulation, and disconnect."""
         with self._opened, contextlib.suppress(InfraError):  # it is gone, which has been told
             for _ in range(_RELEASES):  # over UDP nothing is confirmed
                 for name in (*overrides, HELD):
@@ -161,13 +171,20 @@ class XPlane:
 
     def frames(self, count: int) -> None:
         """Wait until it has drawn frames."""
-        limit = _Limit(self.setup.timeout_s)
         last = self._marks()
-        while count > 0:
-            now = self._marks()
-            if now != last:
-                last, count, limit = now, count - 1, _Limit(self.setup.timeout_s)
-            limit.check('it draws no frames: minimised, loading, or hanging?')
+        for _ in range(count):
+            last = self._changed(
+                self._marks, last, 'it draws no frames: minimised, loading, or hanging?'
+            )
+
+    def _changed(self, read: Callable[[], _T], before: _T, otherwise: str) -> _T:
+        """Read a value until it is another one; the clock of the wall limits that."""
+        limit_s = self.setup.timeout_s
+        until = time.monotonic() + limit_s
+        while (now := read()) == before:
+            if time.monotonic() > until:
+                raise failed(InfraKind.TIMEOUT, f'after {limit_s:g} s {otherwise}')
+        return now
 
     def _marks(self) -> list[float]:
         """What a frame changes; the time that X-Plane has been up only grows."""
@@ -183,26 +200,18 @@ class XPlane:
     def pause(self, paused: bool) -> None:
         """Pause or resume, and wait until it has."""
         self.link.write(SPEED, 0.0 if paused else 1.0)
-        limit = _Limit(self.setup.timeout_s)
-        while bool(self.number(PAUSED)) != paused:
-            limit.check('it cannot be paused' if paused else 'it stays paused')
+        self._changed(lambda: bool(self.number(PAUSED)), not paused,
+                      'it cannot be paused' if paused else 'it stays paused')
 
     def run_until(self, flight_time_s: float, since_s: float = -math.inf) -> float:
-        """Let the simulation run to a time of its own, and pause it.
-
-        Args:
-            flight_time_s: the time [s].
-            since_s: time that it has reached already [s].
-
-        Returns:
-            The time at which it stands, some frames later [s].
-        """
-        limit, last = _Limit(self.setup.timeout_s), self.time_s(since_s)
+        """Let it run to a time of its own, and pause it; the time at which it stands then [s]."""
+        now = self.time_s(since_s)
         self.link.write(SPEED, 1.0)
-        while (now := self.time_s(last)) < flight_time_s:
-            if now != last:
-                last, limit = now, _Limit(self.setup.timeout_s)
-            limit.check('its time stands still: is it paused, or a menu open in it?')
+        while now < flight_time_s:
+            now = self._changed(
+                functools.partial(self.time_s, now), now,
+                'its time stands still: is it paused, or a menu open in it?',
+            )
         self.pause(True)
         return self.time_s(now)
 
@@ -227,23 +236,13 @@ class XPlane:
     # Start of a run
 
     def begin(self, scenario: Scenario, start: Pose, *, moves: bool) -> None:
-        """Pause, hold the aircraft, place it, set time and weather, settle, and pause again.
-
-        Args:
-            scenario: with place, time and weather.
-            start: of the aircraft.
-            moves: whether X-Plane will move the aircraft.
-
-        Raises:
-            InfraError: a step is not confirmed, or another aircraft is loaded.
-            UsageError: a dataref of the user cannot be written.
-        """
+        """Pause, hold the aircraft, place it, set time and weather, settle, and pause again."""
         self.check_aircraft()
         for name in scenario.dataref_values:
             if trouble := self.link.trouble(name):
                 raise UsageError(f'datarefs: {trouble}')
         self.pause(True)
-        away_m = _away_m(self.pose().position, start.position)
+        away_m = math.hypot(*start.away(self.pose())[:2])
         if not away_m <= MOST_AWAY_M:
             raise failed(
                 InfraKind.NOT_READY, f'X-Plane is {away_m / 1000:.0f} km from the runway; start it '
@@ -253,7 +252,7 @@ class XPlane:
         self.place(start)
         time = time_settings(scenario, self.setup.settle_s)
         ours = [*time, *weather_settings(scenario, self.version, moves=moves)]
-        theirs = [Setting(name=name, value=one) for name, one in scenario.dataref_values.items()]
+        theirs = [Setting(name, one) for name, one in scenario.dataref_values.items()]
         for one in (*ours, *theirs):
             self.link.write(one.name, one.value)
         if major(self.version) >= 12:
@@ -308,15 +307,14 @@ class XPlane:
 
     def pose(self) -> Pose:
         """Where the aircraft is."""
-        if isinstance(self.link, XPlaneConnect):
-            return Pose(position=self.link.position(), height_m=self.number(HEIGHT))
-        latitude, longitude, height, heading, pitch, roll = self.numbers(
-            LATITUDE, LONGITUDE, HEIGHT, TRUE_HEADING, f'{POSITION}theta', f'{POSITION}phi'
+        if isinstance(self.link, XPlaneConnect):  # its datarefs are floats, of a metre
+            latitude, longitude, pitch, roll, heading = self.link.position()
+        else:
+            latitude, longitude, pitch, roll, heading = self.numbers(*_WHERE)
+        return Pose(
+            latitude_deg=latitude, longitude_deg=longitude, height_m=self.number(HEIGHT),
+            pitch_deg=pitch, roll_deg=roll, heading_deg=heading,
         )
-        return Pose(height_m=height, position=Position(
-            latitude_deg=latitude, longitude_deg=longitude, altitude_m=math.nan, pitch_deg=pitch,
-            roll_deg=roll, heading_deg=heading,
-        ))
 
     def place(self, wanted: Pose) -> None:
         """Place the held aircraft, and correct until it is where it should be.
@@ -326,41 +324,32 @@ class XPlane:
         """
         for tried in range(_MOST_TRIES):
             now = self.pose()
-            away = _difference(wanted, now)
-            if away.near:
+            east_m, north_m, up_m, turn_deg = wanted.away(now)
+            away_m = math.hypot(east_m, north_m)
+            if max(away_m, abs(up_m)) <= NEAR_M and turn_deg <= NEAR_DEG:
                 return
-            if tried == _MOST_TRIES - 1:
-                break
-            self._move(wanted, now, away)
-            self.frames(_SETTLE_FRAMES)
+            if tried < _MOST_TRIES - 1:
+                self._move(wanted, now)
+                self.frames(_SETTLE_FRAMES)
         raise failed(
-            InfraKind.SIM, f'the aircraft stays {math.hypot(away.east_m, away.north_m):.2f} m, '
-            f'{away.up_m:+.2f} m in height and {away.turn_deg:.2f} deg from where it was placed; '
-            'does another program move it?'
+            InfraKind.SIM, f'the aircraft stays {away_m:.2f} m, {up_m:+.2f} m in height and '
+            f'{turn_deg:.2f} deg from where it was placed; does another program move it?'
         )
 
-    def _move(self, wanted: Pose, now: Pose, away: _Away) -> None:
-        there = wanted.position
-        if isinstance(self.link, XPlaneConnect):
-            self.link.place(Position(
-                latitude_deg=there.latitude_deg, longitude_deg=there.longitude_deg,
-                altitude_m=now.position.altitude_m + away.up_m, pitch_deg=there.pitch_deg,
-                roll_deg=there.roll_deg, heading_deg=there.heading_deg,
-            ))
-            return
+    def _move(self, wanted: Pose, now: Pose) -> None:
+        east_m, north_m, up_m, _ = wanted.away(now)
         x_m, y_m, z_m, heading_deg = self.numbers(
             *(f'{POSITION}{name}' for name in ('local_x', 'local_y', 'local_z', 'psi'))
         )
         # Local north differs from the true one by the convergence of the meridians.
-        bend_deg = _turn(now.position.heading_deg, heading_deg)
+        bend_deg = _turn(now.heading_deg, heading_deg)
         sin, cos = math.sin(math.radians(bend_deg)), math.cos(math.radians(bend_deg))
-        heading_deg = (there.heading_deg - bend_deg) % 360
+        heading_deg = (wanted.heading_deg - bend_deg) % 360
         for name, value in (
-            ('local_x', x_m + away.east_m * cos - away.north_m * sin),
-            ('local_y', y_m + away.up_m),
-            ('local_z', z_m - away.east_m * sin - away.north_m * cos),
-            ('psi', heading_deg), ('theta', there.pitch_deg), ('phi', there.roll_deg),
-            ('q', _quaternion(heading_deg, there.pitch_deg, there.roll_deg)),
+            ('local_x', x_m + east_m * cos - north_m * sin), ('local_y', y_m + up_m),
+            ('local_z', z_m - east_m * sin - north_m * cos),
+            ('psi', heading_deg), ('theta', wanted.pitch_deg), ('phi', wanted.roll_deg),
+            ('q', _quaternion(heading_deg, wanted.pitch_deg, wanted.roll_deg)),
         ):
             self.link.write(f'{POSITION}{name}', value)
 
@@ -381,53 +370,6 @@ def _alone(setup: XPlaneSetup) -> Iterator[None]:
             warn_once(f'x-plane at {setup.host}:{setup.port}: another run uses it; waiting')
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-
-
-class _Limit:
-    """Limit of the wall's clock for something that the simulator does."""
-
-    def __init__(self, limit_s: float) -> None:
-        self._limit_s, self._until = limit_s, time.monotonic() + limit_s
-
-    def check(self, otherwise: str) -> None:
-        if time.monotonic() > self._until:
-            raise failed(InfraKind.TIMEOUT, f'after {self._limit_s:g} s {otherwise}')
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Away:
-    """What is missing to a pose."""
-
-    east_m: float
-    north_m: float
-    up_m: float
-    turn_deg: float
-
-    @property
-    def near(self) -> bool:
-        return (
-            math.hypot(self.east_m, self.north_m) <= NEAR_M and abs(self.up_m) <= NEAR_M
-            and self.turn_deg <= NEAR_DEG
-        )
-
-
-def _difference(wanted: Pose, now: Pose) -> _Away:
-    one, other = wanted.position, now.position
-    parallel_m = _MERIDIAN_M * math.cos(math.radians(one.latitude_deg))
-    return _Away(
-        east_m=_turn(one.longitude_deg, other.longitude_deg) * parallel_m,
-        north_m=(one.latitude_deg - other.latitude_deg) * _MERIDIAN_M,
-        up_m=wanted.height_m - now.height_m,
-        turn_deg=max(
-            abs(_turn(getattr(one, name), getattr(other, name)))
-            for name in ('heading_deg', 'pitch_deg', 'roll_deg')
-        ),
-    )
-
-
-def _away_m(one: Position, other: Position) -> float:
-    away = _difference(Pose(position=one, height_m=0.0), Pose(position=other, height_m=0.0))
-    return math.hypot(away.east_m, away.north_m)
 
 
 def _turn(to_deg: float, from_deg: float) -> float:

@@ -52,7 +52,7 @@ _CLOUDS_12 = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Setting:
     """A value to be set and read back.
 
@@ -68,11 +68,7 @@ class Setting:
 
 
 def major(version: str) -> int:
-    """Major version: 11 of ``11.55`` and of ``115501``.
-
-    Raises:
-        InfraError: it is none.
-    """
+    """Major version: 11 of ``11.55`` and of ``115501``."""
     head = version.partition('.')[0]
     if not (head.isascii() and head.isdigit() and len(head) > 1):
         raise failed(InfraKind.PROTOCOL, f'X-Plane {version!r:.20} is of no known version')
@@ -96,78 +92,51 @@ def time_settings(scenario: Scenario, settle_s: float) -> list[Setting]:
     """Time of day and date; seconds pass while the weather settles."""
     days, seconds = zulu(scenario)
     return [
-        Setting(name='sim/time/use_system_time', value=0.0),
-        Setting(name='sim/time/local_date_days', value=days),
+        Setting('sim/time/use_system_time', 0.0), Setting('sim/time/local_date_days', days),
         # Time of day is a 32-bit float on the wire.
-        Setting(name='sim/time/zulu_time_sec', value=seconds, within=settle_s + 5.0),
+        Setting('sim/time/zulu_time_sec', seconds, within=settle_s + 5.0),
     ]
 
 
 def weather_settings(scenario: Scenario, version: str, *, moves: bool) -> list[Setting]:
-    """Clouds and rain; wind and friction too where X-Plane moves the aircraft.
-
-    Args:
-        scenario: with the weather.
-        version: of X-Plane.
-        moves: whether it moves the aircraft.
-    """
-    if major(version) < 12:
-        return _weather_11(scenario, moves)
-    return _weather_12(scenario, moves)
+    """Clouds and rain; wind and friction too where X-Plane moves the aircraft."""
+    settings, wind = (_weather_11 if major(version) < 12 else _weather_12)(scenario)
+    return [*settings, *wind] if moves else settings
 
 
-def _weather_11(scenario: Scenario, moves: bool) -> list[Setting]:
-    found = [
-        Setting(name='sim/weather/use_real_weather_bool', value=0.0),
-        Setting(name='sim/weather/cloud_type[0]', value=float(CLOUDS.index(scenario.clouds))),
-        *(Setting(name=f'sim/weather/cloud_type[{layer}]', value=0.0) for layer in (1, 2)),
-        Setting(name='sim/weather/rain_percent', value=scenario.rain_fraction),
+def _weather_11(scenario: Scenario) -> tuple[list[Setting], list[Setting]]:
+    weather = 'sim/weather/'
+    direction_deg = math.degrees(scenario.wind_direction_rad)
+    return [
+        Setting(weather + 'use_real_weather_bool', 0.0),
+        Setting(weather + 'cloud_type[0]', float(CLOUDS.index(scenario.clouds))),
+        *(Setting(f'{weather}cloud_type[{layer}]', 0.0) for layer in (1, 2)),
+        Setting(weather + 'rain_percent', scenario.rain_fraction),
+    ], [
+        Setting(weather + 'wind_altitude_msl_m[0]', _LEVEL_11_M, within=1.0),
+        Setting(weather + 'wind_speed_kt[0]', scenario.wind_speed_mps / _KNOT_MPS, within=0.1),
+        Setting(weather + 'wind_direction_degt[0]', direction_deg, within=0.1),
     ]
-    if moves:
-        found += [
-            Setting(name='sim/weather/wind_altitude_msl_m[0]', value=_LEVEL_11_M, within=1.0),
-            Setting(
-                name='sim/weather/wind_speed_kt[0]', value=scenario.wind_speed_mps / _KNOT_MPS,
-                within=0.1,
-            ),
-            Setting(
-                name='sim/weather/wind_direction_degt[0]',
-                value=math.degrees(scenario.wind_direction_rad), within=0.1,
-            ),
-        ]
-    return found
 
 
-def _weather_12(scenario: Scenario, moves: bool) -> list[Setting]:
+def _weather_12(scenario: Scenario) -> tuple[list[Setting], list[Setting]]:
     region, layer = 'sim/weather/region/', _CLOUDS_12[scenario.clouds]
-    ground_m = scenario.runway.elevation_m
+    base_m, top_m = (scenario.runway.elevation_m + one for one in (layer.base_m, layer.top_m))
     none = (0.0,) * (_LAYERS - 1)
-    above = tuple(ground_m + layer.top_m + 1000.0 * (1 + at) for at in range(_LAYERS - 1))
-    found = [
-        Setting(name=region + 'change_mode', value=_STATIC),
-        Setting(name=region + 'variability_pct', value=0.0),
-        Setting(name=region + 'cloud_type', value=(layer.type, *none)),
-        Setting(name=region + 'cloud_coverage_percent', value=(layer.coverage, *none)),
+    above = tuple(top_m + 1000.0 * (1 + at) for at in range(_LAYERS - 1))
+    direction_deg = math.degrees(scenario.wind_direction_rad)
+    return [
+        Setting(region + 'change_mode', _STATIC), Setting(region + 'variability_pct', 0.0),
+        Setting(region + 'cloud_type', (layer.type, *none)),
+        Setting(region + 'cloud_coverage_percent', (layer.coverage, *none)),
+        Setting(region + 'cloud_base_msl_m', (base_m, *above), within=1.0),
         Setting(
-            name=region + 'cloud_base_msl_m', value=(ground_m + layer.base_m, *above), within=1.0
+            region + 'cloud_tops_msl_m', (top_m, *(one_m + 500.0 for one_m in above)), within=1.0
         ),
-        Setting(
-            name=region + 'cloud_tops_msl_m',
-            value=(ground_m + layer.top_m, *(base_m + 500.0 for base_m in above)), within=1.0,
-        ),
-        Setting(name=region + 'rain_percent', value=scenario.rain_fraction),
-        Setting(name=region + 'runway_friction', value=_FRICTION_12[scenario.surface]),
-        Setting(name=region + 'update_immediately', value=1.0),
+        Setting(region + 'rain_percent', scenario.rain_fraction),
+        Setting(region + 'runway_friction', _FRICTION_12[scenario.surface]),
+        Setting(region + 'update_immediately', 1.0),
+    ], [
+        Setting(region + 'wind_speed_msc', (scenario.wind_speed_mps,) * _WINDS, within=0.05),
+        Setting(region + 'wind_direction_degt', (direction_deg,) * _WINDS, within=0.1),
     ]
-    if moves:
-        found += [
-            Setting(
-                name=region + 'wind_speed_msc', value=(scenario.wind_speed_mps,) * _WINDS,
-                within=0.05,
-            ),
-            Setting(
-                name=region + 'wind_direction_degt',
-                value=(math.degrees(scenario.wind_direction_rad),) * _WINDS, within=0.1,
-            ),
-        ]
-    return found

@@ -15,8 +15,7 @@ import http.client
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import quote
 
 from taxinet_ros.core.datarefs import split_name
@@ -32,21 +31,13 @@ _MOST_BYTES = 1 << 22
 _T = TypeVar('_T')
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Dataref:
-    """What the API tells about a dataref.
-
-    Attributes:
-        id: number in this session of X-Plane.
-        type: of its values, as the API calls it.
-        writable: whether it can be set.
-        index: of the element that is meant; None for all of it.
-    """
+class Dataref(NamedTuple):
+    """A dataref by its number in this session of X-Plane; an index means one of its elements."""
 
     id: int
     type: str
     writable: bool
-    index: int | None
+    element: int | None
 
 
 class WebApi:
@@ -64,39 +55,29 @@ class WebApi:
     ) -> None:
         """Connect and agree on a version.
 
-        Args:
-            host: name or address of the simulator. X-Plane itself listens on its own machine only;
-                from another one, a proxy or tunnel has to lead there.
-            port: of the API (``--web_server_port`` of X-Plane).
-            timeout_s: wait for each answer [s].
-            tries: how often a request is sent.
-
-        Raises:
-            InfraError: nothing answers there, it is no X-Plane, or of an unknown version.
-            UsageError: unknown host.
+        X-Plane itself listens on its own machine only; from another one, a proxy or tunnel has to
+        lead there. Its option ``--web_server_port`` names the port.
         """
         self.words, self.version = f'web API at {host}:{port}', ''
         self._connection = http.client.HTTPConnection(address_of(host), port, timeout=timeout_s)
         self._timeout_s, self._tries = timeout_s, tries
         self._known: dict[str, Dataref] = {}
+        self._asked, self._told = '', b''
         try:
-            self.version, api = self._negotiate()
+            self.version, api = self._again(self._negotiate)
         except BaseException:
             self.close()
             raise
         self._api, self.words = f'/api/{api}', f'web API {api} at {host}:{port}'
 
     def _negotiate(self) -> tuple[str, str]:
-        told = self._again(lambda: self._ask('GET', '/api/capabilities', optional=True))
+        told = self._ask('GET', '/api/capabilities', optional=True)
         if told is None:
             raise failed(
                 InfraKind.PROTOCOL, f'{self.words}: it has no /api/capabilities; X-Plane 12.1.4 or '
                 'newer is needed'
             )
-        try:
-            version, offered = str(told['x-plane']['version']), list(told['api']['versions'])
-        except (KeyError, TypeError):
-            raise self._malformed('/api/capabilities', told) from None
+        version, offered = str(told['x-plane']['version']), list(told['api']['versions'])
         common = [one for one in VERSIONS if one in offered]
         if not common:
             raise failed(
@@ -116,16 +97,12 @@ class WebApi:
 
     def _read(self, name: str) -> Value:
         dataref = self._dataref(name)
-        told = self._ask('GET', f'{self._api}/datarefs/{dataref.id}/value')
-        try:
-            value = told['data']
-            if isinstance(value, str):
-                return base64.b64decode(value).partition(b'\0')[0].decode('utf-8', 'replace')
-            if isinstance(value, list) and dataref.index is None:
-                return tuple(_finite(one) for one in value)
-            return _finite(value if dataref.index is None else value[dataref.index])
-        except (KeyError, IndexError, TypeError, ValueError, OverflowError):
-            raise self._malformed(name, told) from None
+        value = self._ask('GET', f'{self._api}/datarefs/{dataref.id}/value')['data']
+        if isinstance(value, str):
+            return base64.b64decode(value).partition(b'\0')[0].decode('utf-8', 'replace')
+        if isinstance(value, list) and dataref.element is None:
+            return tuple(_finite(one) for one in value)
+        return _finite(value if dataref.element is None else value[dataref.element])
 
     def write(self, name: str, value: float | tuple[float, ...]) -> None:
         """Set a dataref, or one element of an array."""
@@ -137,7 +114,7 @@ class WebApi:
             raise failed(InfraKind.PROTOCOL, f'{self.words}: {name} is read-only')
         change: Callable[[float], float] = round if dataref.type.startswith('int') else float
         number = [change(one) for one in value] if isinstance(value, tuple) else change(value)
-        element = '' if dataref.index is None else f'?index={dataref.index}'
+        element = '' if dataref.element is None else f'?index={dataref.element}'
         self._ask(
             'PATCH', f'{self._api}/datarefs/{dataref.id}/value{element}', {'data': number}
         )
@@ -170,13 +147,7 @@ class WebApi:
                 told = self._described('datarefs', path)
             else:
                 index = None
-            try:
-                found = Dataref(
-                    id=told['id'], type=str(told['value_type']),
-                    writable=bool(told['is_writable']), index=index,
-                )
-            except KeyError:
-                raise self._malformed(name, told) from None
+            found = Dataref(told['id'], str(told['value_type']), bool(told['is_writable']), index)
             if index is not None and not found.type.endswith('_array'):
                 raise failed(
                     InfraKind.PROTOCOL, f'{self.words}: {path} is {found.type}, no array'
@@ -187,13 +158,10 @@ class WebApi:
     def _described(self, kind: str, name: str, *, optional: bool = False) -> Any:
         path = f'{self._api}/{kind}?filter[name]={quote(name, safe="/")}'
         told = self._ask('GET', path, optional=True)
-        try:
-            named = [
-                one for one in (told['data'] if told else ())
-                if one['name'] == name and isinstance(one['id'], int)
-            ]
-        except (KeyError, TypeError):
-            raise self._malformed(path, told) from None
+        named = [
+            one for one in (told['data'] if told else ())
+            if one['name'] == name and isinstance(one['id'], int)
+        ]
         if named or optional:
             return named[0] if named else None
         raise failed(
@@ -216,6 +184,11 @@ class WebApi:
             except (OSError, http.client.HTTPException) as error:
                 self.close()
                 trouble = error
+            except (LookupError, TypeError, ValueError, OverflowError) as error:
+                raise failed(
+                    InfraKind.PROTOCOL,
+                    f'{self.words}: {self._asked} is answered by {self._told!r:.120}',
+                ) from error
         times = f'{tries} request{"s" if tries > 1 else ""} of {self._timeout_s:g} s'
         if isinstance(trouble, TimeoutError):
             raise failed(InfraKind.TIMEOUT, f'{self.words}: no answer after {times}') from trouble
@@ -226,16 +199,12 @@ class WebApi:
     def _ask(
         self, method: str, path: str, content: Any = None, *, optional: bool = False
     ) -> Any:
-        """The answer to one request; None if it is optional and not there.
-
-        Raises:
-            OSError, http.client.HTTPException: the connection broke.
-            InfraError: it was refused, or the answer is no JSON.
-        """
+        """The answer to one request, as JSON; None if it is optional and not there."""
         body = None if content is None else json.dumps(content).encode()
         self._connection.request(method, path, body, _HEADERS)
         response = self._connection.getresponse()
         data = response.read(_MOST_BYTES)
+        self._asked, self._told = path, data
         if response.status == 404 and optional:
             return None
         if response.status == 403:
@@ -248,13 +217,7 @@ class WebApi:
                 InfraKind.PROTOCOL,
                 f'{self.words}: {method} {path}: {response.status} {data!r:.200}',
             )
-        try:
-            return load_json(data) if data else None
-        except ValueError:
-            raise self._malformed(path, data) from None
-
-    def _malformed(self, what: str, told: object) -> InfraError:
-        return failed(InfraKind.PROTOCOL, f'{self.words}: {what} is answered by {told!r:.120}')
+        return load_json(data) if data else None
 
 
 def _finite(value: Any) -> float:

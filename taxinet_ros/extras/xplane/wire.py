@@ -19,11 +19,7 @@ def failed(kind: InfraKind, detail: str) -> InfraError:
 
 
 def address_of(host: str) -> str:
-    """IPv4 address of a host.
-
-    Raises:
-        UsageError: there is none.
-    """
+    """IPv4 address of a host."""
     try:
         return socket.gethostbyname(host or 'no host')
     except (OSError, TypeError, ValueError) as error:

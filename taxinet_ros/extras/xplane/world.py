@@ -24,8 +24,7 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.extras.xplane.camera import OpenScreen, ViewFromXPlane
-from taxinet_ros.extras.xplane.screen import Display, Screen
+from taxinet_ros.extras.xplane.camera import Display, OpenScreen, ViewFromXPlane
 from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup
 from taxinet_ros.extras.xplane.simulator import (
     HELD,
@@ -67,18 +66,7 @@ class XPlaneWorld(World):
         self, scenario: Scenario, *, pictures: bool = True, setup: XPlaneSetup | None = None,
         open_screen: OpenScreen = Display,
     ) -> None:
-        """Place the aircraft, set light, weather and wind, and release it at its speed.
-
-        Args:
-            scenario: of the run.
-            pictures: False: none will be requested.
-            setup: where X-Plane is; None for the environment's.
-            open_screen: connects to the display.
-
-        Raises:
-            InfraError: X-Plane fails.
-            UsageError: the scenario has a value without effect in X-Plane.
-        """
+        """Place the aircraft, set light, weather and wind, and release it at its speed."""
         hidden = [
             one.key for one in _HIDDEN
             if getattr(scenario, one.attribute) != getattr(_USUAL, one.attribute)
@@ -93,7 +81,7 @@ class XPlaneWorld(World):
         setup = setup or chosen_setup()
         start = dataclasses.replace(Aircraft(scenario).state, speed_mps=scenario.speed_mps)
         self._xplane = XPlane(setup)
-        self._screen: Screen | None = None
+        self._screen: Display | None = None
         self._view: ViewFromXPlane | None = None
         try:
             if pictures:
@@ -132,12 +120,7 @@ class XPlaneWorld(World):
         )
 
     def advance(self, command: TaxiCommand) -> None:
-        """Hold a command for 0.1 s of X-Plane's time.
-
-        Raises:
-            InfraError: its time stands still, runs away or goes back, or the aircraft does not
-                move, or as no aircraft does.
-        """
+        """Hold a command for 0.1 s of X-Plane's time."""
         self._seq += 1
         self._steer(command)
         due_s = self._began_s + self._seq * PERIOD_S

@@ -28,7 +28,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.past_runs.localisation import make_localize_options
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
-from taxinet_ros.campaign.past_runs.trials import System, Task, Trial, make_trial
+from taxinet_ros.campaign.past_runs.trials import Task, Trial, TrialSystem, make_trial
 from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.campaign.run_command import RunSettings
@@ -463,9 +463,9 @@ class Investigation:
             'controller', run.controller, lambda: check_controller(run.controller, run.gains),
             run.controller_fingerprint, 'put its file back',
         )
-        bench = System(
+        bench = TrialSystem(
             perception=network, judging=Judging(specs=run.specs), gains=run.gains,
-            controller=run.controller, timing=run.timing.words, world=run.world,
+            controller=run.controller, timing=run.timing, world=run.world,
             world_sha256=run.world_fingerprint,
         )
         perception = make_perception(network)

@@ -64,7 +64,7 @@ def counterexample_scenes(
     return [_scene_on_path(*paths[rng.integers(len(paths))], rng) for _ in range(count)]
 
 
-def ledger_digest(folder: Path) -> str:
+def record_digest(folder: Path) -> str:
     """SHA-256 of a campaign's record, which contains its runs and results.
 
     Raises:
@@ -160,7 +160,7 @@ class Portion:
         if self.kind == 'program':
             return program_source(self.name)
         folder = Path(self.name)
-        return Source(kind='runs', name=folder.resolve().name, sha256=ledger_digest(folder))
+        return Source(kind='runs', name=folder.resolve().name, sha256=record_digest(folder))
 
 
 def program_source(program: str) -> Source:

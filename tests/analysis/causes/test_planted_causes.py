@@ -508,7 +508,7 @@ def test_given_any_override_then_the_program_of_a_cause_has_it(tmp_path):
 
 
 @pytest.mark.parametrize(('facts', 'perception', 'why'), [
-    ({}, 'taxinet', 'there is no campaign.json beside the table'),
+    ({}, 'taxinet', 'no campaign.db is beside the table'),
     (FACTS, '', 'was started before the campaign'),
     ({**FACTS, 'program_text': '# --- a.scenic ---\n\n# --- b.bin (sha256) ---\n12ab\n'},
      'taxinet', 'b.bin is too large'),

@@ -9,11 +9,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from campaign_records import write_campaign
 from report_examples import HOSTILE, LINK, RUNS, hostile_report, plain_report, run_table
 
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.analysis.report.parts import Report, Section
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
 
 ELEMENTS_WITHOUT_END = {'meta', 'link', 'img', 'input', 'br', 'hr'}
 KILOBYTE = 1024
@@ -92,7 +92,7 @@ def test_given_a_worst_run_when_written_then_its_frame_and_path_stand_before_the
 def test_given_pages_in_a_campaigns_folder_when_written_then_it_has_a_list_of_them(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / LEDGER_NAME).touch()
+    write_campaign(tmp_path)
     for name in ('analysis', 'why'):
         (tmp_path / name).mkdir()
         report = Report(title=f'Of {name}', facts={}, summary=(), sections=())

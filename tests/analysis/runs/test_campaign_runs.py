@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from planted_runs import planted_runs, planted_table
+from planted_runs import planted_runs, planted_table, record_facts
 
 from taxinet_ros.analysis.campaign.report import rate_sentences
 from taxinet_ros.analysis.runs.campaign import (
@@ -24,7 +24,6 @@ from taxinet_ros.analysis.runs.campaign import (
 from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.sealed_json import write_sealed
 
 
 def table(runs=60, **columns):
@@ -131,16 +130,16 @@ def test_given_undecided_runs_then_there_are_bounds_and_no_rate(tmp_path):
 def test_given_an_interrupted_campaign_then_runs_after_a_gap_do_not_count(tmp_path):
     frame = table(60)
     frame = frame[~frame['index'].isin([50, 52])].reset_index(drop=True)
-    write_sealed(tmp_path / 'campaign.json', {'runs': 60})
-    frame.to_parquet(tmp_path / 'runs.parquet')
-    runs = read_runs(tmp_path)
+    runs = planted_runs(frame, tmp_path)
+    record_facts(tmp_path, runs=60)
+    runs = read_runs(runs.path)
     assert (runs.weighting, runs.anytime, runs.uncounted) == (Weighting.DRAWN, True, 8)
     failures = int((frame['outcome'] == 'FAIL')[:50].sum())
     assert runs.rate()[2:5] == rate(failures, 50, anytime=True)
     assert 'chosen by' not in rate_sentences(runs)[0]
     assert any('8 of the runs are in no rate' in line for line in runs.warnings)
     frame[frame['index'] > 0].to_parquet(tmp_path / 'runs.parquet')
-    first = read_runs(tmp_path)
+    first = read_runs(runs.path)
     assert (first.weighting, first.uncounted, first.bounds) == (Weighting.UNKNOWN, 57, (0.0, 1.0))
     assert math.isnan(first.rate().low)
     words = rate_sentences(first)[0]
@@ -168,9 +167,9 @@ def test_given_another_number_of_runs_than_planned_then_the_intervals_hold_at_an
     frame = table(60)
     failures = int((frame['outcome'] == 'FAIL').sum())
     for planned, anytime in ((60, False), (40, True), (80, True)):
-        write_sealed(tmp_path / 'campaign.json', {'first_runs': planned, 'runs': 60})
-        frame.to_parquet(tmp_path / 'runs.parquet')
-        runs = read_runs(tmp_path)
+        runs = planted_runs(frame, tmp_path)
+        record_facts(tmp_path, first_runs=planned, runs=60)
+        runs = read_runs(runs.path)
         assert runs.anytime is anytime
         assert runs.rate()[2:5] == rate(failures, 60, anytime=anytime)
         assert ('not fixed beforehand' in rate_sentences(runs)[0]) is anytime

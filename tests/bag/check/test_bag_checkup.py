@@ -1,4 +1,4 @@
-"""The doctor: a whole run passes every check, and each thing that can be wrong is found."""
+"""The doctor: a whole run passes every check, and each thing that can be wrong is found once."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from bag_samples import Sample, serialise, store
 from whole_runs import PER_STEP, SPECS, STEPS, TYPES, run_messages, run_topics, write_run
 
 from taxinet_ros.bag.check.doctor import Checkup, check_bag
-from taxinet_ros.bag.check.findings import ranges
-from taxinet_ros.bag.check.lockstep import RunRecord
+from taxinet_ros.bag.check.findings import RECOVER, RERUN, ranges
 from taxinet_ros.bag.errors import BagEmpty
-from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.storage.records import MAGIC
 from taxinet_ros.bag.writer import BagWriter
 
-CHECKS = ('bytes', 'description', 'types', 'stamps', 'steps', 'verdict')
 STEP_NS = 100_000_000
+TRUTH = '/ground_truth/tracking_error'
+Messages = list[Sample]
 
 
 @pytest.fixture(scope='module')
@@ -37,35 +36,18 @@ def wrong(checkup: Checkup) -> dict[str, list[str]]:
     }
 
 
-def rewritten(tmp_path: Path, change: Callable[[list[Sample]], list[Sample]]) -> Checkup:
+def rewritten(tmp_path: Path, change: Callable[[Messages], Messages]) -> Checkup:
     """The checkup of a run with other messages."""
     return check_bag(write_run(tmp_path / 'run', change(list(run_messages()))).parent)
 
 
 def test_given_a_whole_run_when_checked_then_nothing_is_wrong(run: Path) -> None:
-    checkup = check_bag(run.parent)
-    assert tuple(check.name for check in checkup.checks) == CHECKS
-    assert wrong(checkup) == {}
-    assert not any(check.skipped for check in checkup.checks)
-    assert len(run_messages()) == 1 + 4 + PER_STEP * STEPS - STEPS + 2
-
-
-@pytest.mark.parametrize('topic', [topic.name for topic in run_topics()])
-def test_a_stamp_before_the_run_begins_is_a_finding(topic: str) -> None:
-    name, _, cdr = next(one for one in run_messages() if one[0] == topic)
-    info = next(one for one in run_topics() if one.name == topic)
-    record = RunRecord()
-    record.note(StoredMessage(info, -5 * 10**9, cdr, 0))
-    assert record.stamps[0].where == f'{name} at -5.000 s'
-    assert record.stamps[0].what == 'stamp goes back from 0 ns'
-
-
-def test_given_one_file_of_a_run_when_checked_then_only_the_description_is_skipped(
-    run: Path,
-) -> None:
-    checkup = check_bag(run)
-    assert wrong(checkup) == {}
-    assert [check.name for check in checkup.checks if check.skipped] == ['description']
+    assert len(run_messages()) == 168 == 1 + 4 + 1 + PER_STEP * STEPS + 2
+    for path in (run, run.parent):
+        checkup = check_bag(path)
+        names = [check.name for check in checkup.checks if not check.skipped]
+        assert names == ['bytes', 'structure', 'lockstep', 'verdict']
+        assert wrong(checkup) == {}
 
 
 def test_given_a_flipped_byte_when_checked_then_its_place_and_what_mends_it_are_told(
@@ -74,47 +56,80 @@ def test_given_a_flipped_byte_when_checked_then_its_place_and_what_mends_it_are_
     data = bytearray(run.read_bytes())
     data[len(data) // 2] ^= 4
     (tmp_path / 'x.mcap').write_bytes(data)
-    checkup = check_bag(tmp_path / 'x.mcap')
-    found = checkup.checks[0].findings
-    assert len(found) == 1
-    assert found[0].where.startswith('x.mcap, byte ')
-    assert found[0].mend == 'taxinet bag recover {bag} --out NEW'
-    assert {check.name for check in checkup.checks if check.skipped} == {'description'}
+    (found,) = check_bag(tmp_path / 'x.mcap').findings
+    assert found.where.startswith('x.mcap, byte ')
+    assert found.mend == RECOVER
 
 
-@pytest.mark.parametrize(('name', 'steps', 'expected'), [
-    ('/taxi_command', {4}, 'step 4: without /taxi_command'),
-    ('/camera/image_raw', {3, 5, 6}, 'step 3, 5-6: without /camera/image_raw'),
-])
-def test_given_missing_messages_when_checked_then_their_steps_are_named(
-    tmp_path: Path, name: str, steps: set[int], expected: str
+def test_given_a_run_cut_off_when_checked_then_that_is_one_finding(
+    run: Path, tmp_path: Path
 ) -> None:
-    gone = {(name, step * STEP_NS) for step in steps}
-    found = wrong(rewritten(tmp_path, lambda all_: [m for m in all_ if m[:2] not in gone]))
-    assert found['steps'] == [expected]
-    assert ('verdict' in found) == (name == '/taxi_command')
+    data = run.read_bytes()
+    (tmp_path / 'r').mkdir()
+    (tmp_path / 'r' / 'r_0.mcap').write_bytes(data[:chunks_of(data)[9][1] + 20])
+    checkup = check_bag(tmp_path / 'r')
+    assert list(wrong(checkup)) == ['bytes']
+    assert len(checkup.findings) == 1
+    (steps,) = [check.looked_at for check in checkup.checks if check.name == 'lockstep']
+    assert steps.endswith('; the end of the run is not recorded')
 
 
-def test_given_a_message_twice_when_checked_then_it_is_named(tmp_path: Path) -> None:
-    def twice(messages: list[Sample]) -> list[Sample]:
-        place = next(k for k, m in enumerate(messages) if m[:2] == ('/clock', 2 * STEP_NS))
-        return [*messages[:place], messages[place], *messages[place:]]
+def without(name: str, *steps: int) -> Callable[[Messages], Messages]:
+    return lambda messages: [
+        m for m in messages if m[0] != name or m[1] // STEP_NS not in steps
+    ]
 
-    assert wrong(rewritten(tmp_path, twice)) == {'steps': ['step 2: /clock more than 1 x']}
+
+def twice(messages: Messages) -> Messages:
+    place = next(k for k, m in enumerate(messages) if m[:2] == ('/clock', 2 * STEP_NS))
+    return [*messages[:place], messages[place], *messages[place:]]
+
+
+def late(messages: Messages) -> Messages:
+    return [*messages, next(m for m in messages if m[0] == '/clock')]
+
+
+def torn(messages: Messages) -> Messages:
+    return [(n, t, b'\0\1\0\0' if (n, t) == ('/clock', STEP_NS) else c) for n, t, c in messages]
+
+
+@pytest.mark.parametrize(('change', 'expected'), [
+    (without('/clock', 4), 'step 4: without /clock'),
+    (without('/camera/image_raw', 3, 5, 6), 'step 3, 5-6: without /camera/image_raw'),
+    (twice, 'step 2: /clock more than 1 x'),
+    (late, '/clock: at 0.000 s: stamp goes back from 1500000000 ns'),
+    (torn, '/clock: at 0.100 s: topic /clock: not a rosgraph_msgs'),
+    (without('/run_status', STEPS - 1),
+     'run_status: 0 messages, not 1; the bag ends before the run does'),
+    (without('/scenario', 0), 'scenario: 0 messages, not 1; nothing tells what was run'),
+])
+def test_given_messages_that_are_lost_doubled_or_wrong_when_checked_then_that_is_one_finding(
+    tmp_path: Path, change: Callable[[Messages], Messages], expected: str
+) -> None:
+    checkup = rewritten(tmp_path, change)
+    (text,) = wrong(checkup)['lockstep']
+    assert text.startswith(expected)
+    mend = '' if 'nothing tells' in expected else RERUN
+    assert [found.mend for found in checkup.findings] == [mend]
+
+
+def test_given_a_command_lost_when_checked_then_the_verdict_is_not_judged_beyond_it(
+    tmp_path: Path,
+) -> None:
+    found = wrong(rewritten(tmp_path, without('/taxi_command', 4)))
+    assert found == {
+        'lockstep': ['step 4: without /taxi_command'],
+        'verdict': ['step 4: no samples from here on'],
+    }
 
 
 def test_given_another_truth_when_checked_then_the_verdict_does_not_follow(tmp_path: Path) -> None:
-    def shifted(messages: list[Sample]) -> list[Sample]:
-        place = next(
-            k for k, m in enumerate(messages)
-            if m[:2] == ('/ground_truth/tracking_error', (STEPS - 1) * STEP_NS)
-        )
-        name, stamp, cdr = messages[place]
-        truth = next(m for m in messages if m[0] == '/ground_truth/tracking_error')[2]
-        number = struct.pack('<d', 9.5)
-        other = cdr[:-24] + number + cdr[-16:]
-        assert len(other) == len(cdr) == len(truth)
-        return [*messages[:place], (name, stamp, other), *messages[place + 1:]]
+    def shifted(messages: Messages) -> Messages:
+        return [
+            (name, stamp, cdr[:-24] + struct.pack('<d', 9.5) + cdr[-16:])
+            if (name, stamp) == (TRUTH, (STEPS - 1) * STEP_NS) else (name, stamp, cdr)
+            for name, stamp, cdr in messages
+        ]
 
     found = wrong(rewritten(tmp_path, shifted))
     assert set(found) == {'verdict'}
@@ -122,42 +137,32 @@ def test_given_another_truth_when_checked_then_the_verdict_does_not_follow(tmp_p
     assert any('monitor/verdict' in text for text in found['verdict'])
 
 
-@pytest.mark.parametrize(('name', 'other'), [
-    ('left_runway', True), ('max_cross_track_error', 99.0), ('satisfied', False),
+@pytest.mark.parametrize(('values', 'reading', 'expected'), [
+    ({'left_runway': True}, {}, 'left_runway: recorded True, from the messages '),
+    ({'max_cross_track_error': 99.0}, {}, 'max_cross_track_error: recorded 99.0, from the '),
+    ({'satisfied': False}, {}, 'satisfied: recorded False, from the messages '),
+    ({}, {'verdict': 2}, 'phi_eventually: verdict: recorded 2, from'),
+    ({}, {'final': False}, 'phi_eventually: final: recorded False, from'),
+    ({}, {'formula': 'always(x > 1)'}, "phi_eventually: formula: recorded 'always(x > 1)', from"),
 ])
 def test_given_a_verdict_with_another_figure_when_checked_then_it_is_named(
-    tmp_path: Path, name: str, other: object
+    tmp_path: Path, values: dict[str, object], reading: dict[str, object], expected: str
 ) -> None:
-    def forged(messages: list[Sample]) -> list[Sample]:
-        return [_with_verdict(sample, **{name: other}) for sample in messages]
-
-    found = wrong(rewritten(tmp_path, forged))
+    found = wrong(rewritten(tmp_path, lambda all_: [
+        _with_verdict(sample, reading=reading, **values) for sample in all_
+    ]))
     assert set(found) == {'verdict'}
     (text,) = found['verdict']
-    assert text.startswith(f'monitor/verdict: {name}: recorded {other!r}, from the messages ')
-
-
-@pytest.mark.parametrize(('name', 'other'), [
-    ('verdict', 2), ('final', False), ('formula', 'always(abs(cte) <= 2)'),
-])
-def test_given_a_verdict_with_another_reading_when_checked_then_its_field_is_named(
-    tmp_path: Path, name: str, other: object
-) -> None:
-    def forged(messages: list[Sample]) -> list[Sample]:
-        return [_with_verdict(sample, reading={name: other}) for sample in messages]
-
-    (text,) = wrong(rewritten(tmp_path, forged))['verdict']
-    assert text.startswith(f'monitor/verdict: phi_eventually: {name}: recorded {other!r}, from')
+    assert text.startswith(f'monitor/verdict: {expected}')
 
 
 @pytest.mark.parametrize('kept', [0, 1])
 def test_given_a_verdict_without_a_formula_when_checked_then_it_is_named(
     tmp_path: Path, kept: int
 ) -> None:
-    def forged(messages: list[Sample]) -> list[Sample]:
-        return [_with_verdict(sample, kept=kept) for sample in messages]
-
-    found = wrong(rewritten(tmp_path, forged))
+    found = wrong(rewritten(tmp_path, lambda all_: [
+        _with_verdict(sample, kept=kept) for sample in all_
+    ]))
     starts = [
         f'monitor/verdict: {name}: recorded nothing, from the truth [' for name in SPECS[kept:]
     ]
@@ -175,8 +180,7 @@ def _with_verdict(
     name, stamp, cdr = sample
     if name != '/monitor/verdict':
         return sample
-    kind = TYPES[name]
-    verdict = store().deserialize_cdr(cdr, kind)
+    verdict = store().deserialize_cdr(cdr, TYPES[name])
     verdict.specs = verdict.specs[:kept]
     for field, value in values.items():
         setattr(verdict, field, value)
@@ -185,46 +189,16 @@ def _with_verdict(
     return name, stamp, serialise(verdict)
 
 
-def test_given_time_that_goes_back_when_checked_then_it_is_told(tmp_path: Path) -> None:
-    def late(messages: list[Sample]) -> list[Sample]:
-        first = next(m for m in messages if m[0] == '/clock')
-        return [*messages, first]
-
-    found = wrong(rewritten(tmp_path, late))
-    assert found['stamps'] == ['/clock at 0.000 s: stamp goes back from 1500000000 ns']
-
-
-def test_given_a_message_that_cannot_be_decoded_when_checked_then_it_is_told(
-    tmp_path: Path,
-) -> None:
-    def broken(messages: list[Sample]) -> list[Sample]:
-        return [(n, t, b'\0\1\0\0' if (n, t) == ('/clock', STEP_NS) else c) for n, t, c in messages]
-
-    found = wrong(rewritten(tmp_path, broken))
-    assert set(found) == {'stamps', 'steps'}
-    assert found['stamps'][0].startswith('/clock at 0.100 s: topic /clock: not a rosgraph_msgs')
-
-
-def test_given_a_run_cut_off_when_checked_then_the_end_is_missed(run: Path, tmp_path: Path) -> None:
-    data = run.read_bytes()
-    (tmp_path / 'r').mkdir()
-    (tmp_path / 'r' / 'r_0.mcap').write_bytes(data[:chunks_of(data)[9][1] + 20])
-    found = wrong(check_bag(tmp_path / 'r'))
-    assert set(found) == {'bytes', 'description', 'steps'}
-    assert found['description'] == ['metadata.yaml: missing, so the recording was not finished']
-    assert found['steps'] == [
-        'run_status: 0 messages, not 1; the bag ends before the run does'
-    ]
-
-
 @pytest.mark.parametrize(('old', 'new', 'reason'), [
-    ('message_count: 135', 'message_count: 134', 'message_count is 134, in the bag 135'),
-    ('message_count: 16', 'message_count: 15', "'topics_with_message_count' differs from the desc"),
+    ('message_count: 168', 'message_count: 134', 'message_count is 134, in the bag 168'),
+    ('message_count: 16\n', 'message_count: 15\n', "'topics_with_message_count' differs from"),
     ('depth: 16', 'depth: 10', "'topics_with_message_count' differs from the desc"),
     ('- run_0.mcap', '- ../../etc/passwd', 'relative_file_paths is'),
     ('name: /clock', 'name: /clocks', "'topics_with_message_count' differs from"),
     ('version: 9', 'version: 10', 'version is 10; known up to 9'),
     ('nanoseconds: 1500000000', 'nanoseconds: 15', "'duration' differs from the description"),
+    ('1.2.3', '1.2.4', "'custom_data' differs from the description"),
+    ('rosbag2_bagfile_information', 'x', 'not a bag description'),
 ])
 def test_given_a_description_that_lies_when_checked_then_it_is_told(
     tmp_path: Path, old: str, new: str, reason: str
@@ -233,9 +207,12 @@ def test_given_a_description_that_lies_when_checked_then_it_is_told(
     text = (folder / 'metadata.yaml').read_text()
     assert old in text
     (folder / 'metadata.yaml').write_text(text.replace(old, new, 1))
-    found = wrong(check_bag(folder))
-    assert set(found) == {'description'}
-    assert any(reason in what for what in found['description'])
+    checkup = check_bag(folder)
+    whole = not {'message_count is 134', 'not a bag description'} & {reason.split(',')[0]}
+    assert checkup.info.complete is whole
+    assert set(wrong(checkup)) == {'structure'}
+    assert any(reason in found.what for found in checkup.findings)
+    assert {found.mend for found in checkup.findings} == {RECOVER}
 
 
 def test_given_a_wrong_type_hash_when_checked_then_its_topic_is_named(tmp_path: Path) -> None:
@@ -249,8 +226,8 @@ def test_given_a_wrong_type_hash_when_checked_then_its_topic_is_named(tmp_path: 
         for topic, stamp_ns, cdr in run_messages():
             bag.write(topic, cdr, stamp_ns)
     found = wrong(check_bag(tmp_path / 'run'))
-    assert set(found) == {'types'}
-    assert found['types'][0].startswith('/clock: type hash RIHS01_000')
+    assert set(found) == {'structure'}
+    assert found['structure'][0].startswith('/clock: type hash RIHS01_000')
 
 
 def test_given_nothing_readable_when_checked_then_empty(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from bag_edits import GOLDEN
-from bag_faults import chunks_of
 from recordings import heard, record
 
 from taxinet_ros.bag.check.compare import compare_bags
@@ -16,19 +15,11 @@ from taxinet_ros.bag.check.judge import JudgedBag, judge_runs
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.run.judging import BagVerdict
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.errors import UsageError
 
 GOOD, BAD = GOLDEN / 'taxinet-midday', GOLDEN / 'original-early-light'
 RUNS = (GOOD.name, BAD.name)
-
-
-def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    """Exit code, standard output and error of ``taxinet``."""
-    code = _exit_code(lambda: app([*map(str, words)], standalone_mode=False))
-    told = capsys.readouterr()
-    return code, told.out, told.err
 
 
 @pytest.fixture(scope='module')
@@ -44,9 +35,9 @@ def essence(judged: JudgedBag) -> list[tuple[Any, ...]]:
 
 
 def test_ros1_given_two_runs_in_a_bag_when_judged_then_each_has_its_verdict_and_the_code_is_one(
-    both, capsys
+    both, taxinet
 ):
-    code, out, err = call(capsys, 'monitor', both)
+    code, out, err = taxinet('monitor', both)
     assert (code, err) == (1, '')
     told = [line.split() for line in out.splitlines() if ' phi_eventually ' in line]
     assert [words[:4] for words in told] == [
@@ -54,7 +45,7 @@ def test_ros1_given_two_runs_in_a_bag_when_judged_then_each_has_its_verdict_and_
         [both.name, BAD.name, 'phi_eventually', 'VIOLATED'],
     ]
     assert '1 SATISFIED, 1 VIOLATED of 2 runs; 2 of 2 as recorded, to the bit' in out
-    code, out, _ = call(capsys, 'monitor', both, '--json')
+    code, out, _ = taxinet('monitor', both, '--json')
     assert (code, [bag['run'] for bag in json.loads(out)['bags']]) == (1, list(RUNS))
 
 
@@ -84,10 +75,10 @@ def test_ros1_given_the_same_run_id_twice_then_these_are_two_runs(tmp_path):
     assert essence(found[0]) == essence(found[1]) == essence(judge_runs(BAD)[0])
 
 
-def test_ros1_given_one_run_by_name_then_it_alone_is_judged(both, capsys):
-    assert call(capsys, 'monitor', both, '--run', GOOD.name)[0] == 0
-    assert call(capsys, 'monitor', both, '--run', BAD.name)[0] == 1
-    code, _, err = call(capsys, 'monitor', both, '--run', 'x')
+def test_ros1_given_one_run_by_name_then_it_alone_is_judged(both, taxinet):
+    assert taxinet('monitor', both, '--run', GOOD.name)[0] == 0
+    assert taxinet('monitor', both, '--run', BAD.name)[0] == 1
+    code, _, err = taxinet('monitor', both, '--run', 'x')
     assert (code, len(err.splitlines())) == (2, 1)
     assert f'--run x: no such run in {both}; it holds {GOOD.name}, {BAD.name}' in err
 
@@ -104,35 +95,35 @@ def test_ros1_given_interleaved_runs_then_what_names_no_run_is_not_guessed(tmp_p
 
 
 def test_ros1_given_a_recorder_that_came_late_then_the_run_is_incomplete_and_said_to_be(
-    tmp_path, capsys
+    tmp_path, taxinet
 ):
     late = heard([GOOD], keep=lambda m: m.stamp_ns >= 5 * 10**9 or m.topic.name == '/scenario')
     before = [m for m in heard([BAD]) if m.topic.name in ('/scenario', '/monitor/verdict')]
     # The latched messages come last: each topic is found when it is found.
     late.sort(key=lambda message: message.topic.name == '/scenario')
     bag = record(tmp_path / 'late', [*before, *late])
-    code, out, _ = call(capsys, 'monitor', bag)
+    code, out, _ = taxinet('monitor', bag)
     assert code == 3
     assert 'INCOMPLETE' in out
     assert 'begins at 5 s: earlier steps were not recorded' in out
     assert f'has the end, but no steps, of these runs: {BAD.name}' in out
-    code, _, err = call(capsys, 'monitor', bag, '--run', BAD.name)
+    code, _, err = taxinet('monitor', bag, '--run', BAD.name)
     assert (code, len(err.splitlines())) == (2, 1)
     assert f'--run {BAD.name}: no step of it in {bag}' in err
 
 
 def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_choose(
-    both, tmp_path, capsys
+    both, tmp_path, taxinet
 ):
     for words in (
         ('bag', 'export', both, '--out', tmp_path / 'trace.csv'), ('run', '--from', both),
         ('bag', 'render', both, '--out', tmp_path / 'new'), ('bag', 'compare', both, GOOD),
         ('bag', 'replay', both), ('explain', both),
     ):
-        code, out, err = call(capsys, *words)
+        code, out, err = taxinet(*words)
         assert (code, out, len(err.splitlines())) == (2, '', 1), words
         assert f'holds 2 runs: {GOOD.name} (0-12 s), {BAD.name} (0-12 s); choose one with' in err
-    code, out, err = call(capsys, 'shrink', both)
+    code, out, err = taxinet('shrink', both)
     assert (code, out, len(err.splitlines())) == (2, '', 1)
     assert f'taxinet bag split {both} --out DIR' in err
     assert list(tmp_path.iterdir()) == []
@@ -141,83 +132,71 @@ def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_
             getattr(open_recording(both), name)
 
 
-def test_ros1_given_one_run_of_several_when_exported_then_it_is_the_table_of_our_own_bag(
-    both, tmp_path, capsys
+def test_ros1_given_one_run_of_several_then_it_is_exported_and_compared_as_our_own_bag(
+    both, tmp_path, taxinet
 ):
     for words in ((both, '--run', BAD.name), (BAD,)):
         out = tmp_path / f'{len(words)}.csv'
-        assert call(capsys, 'bag', 'export', *words, '--out', out)[0] == 0
+        assert taxinet('bag', 'export', *words, '--out', out)[0] == 0
     assert (tmp_path / '3.csv').read_text() == (tmp_path / '1.csv').read_text()
+    for run, code in ((BAD, 0), (GOOD, 1)):
+        assert taxinet('bag', 'compare', both, BAD, '--run', run.name)[0] == code
     other = tmp_path / 'rosout.csv'
-    assert call(capsys, 'bag', 'export', both, '--topics', 'rosout', '--out', other)[0] == 0
+    assert taxinet('bag', 'export', both, '--topics', 'rosout', '--out', other)[0] == 0
 
 
 def test_ros1_given_a_recording_when_split_then_every_bag_is_whole_and_the_same_as_ours(
-    both, tmp_path, capsys
+    both, tmp_path, taxinet
 ):
-    code, out, _ = call(capsys, 'bag', 'split', both, '--out', tmp_path / 'runs')
+    code, out, _ = taxinet('bag', 'split', both, '--out', tmp_path / 'runs')
     assert (code, len(out.splitlines())) == (0, 2)
     for own in (GOOD, BAD):
         new = tmp_path / 'runs' / own.name
         assert all(topic.equal for topic in compare_bags(own, new))
         assert open_recording(new).plain
         assert open_recording(new).run == open_recording(own).run
-        assert call(capsys, 'bag', 'doctor', new)[0] == 0
-    code, _, err = call(capsys, 'bag', 'split', both, '--out', tmp_path / 'runs')
+        assert taxinet('bag', 'doctor', new)[0] == 0
+    code, _, err = taxinet('bag', 'split', both, '--out', tmp_path / 'runs')
     assert (code, len(err.splitlines())) == (2, 1)
 
 
-def test_ros1_given_two_runs_when_compared_with_our_own_bag_then_the_chosen_one_is(both, capsys):
-    assert call(capsys, 'bag', 'compare', both, BAD, '--run', BAD.name)[0] == 0
-    assert call(capsys, 'bag', 'compare', both, BAD, '--run', GOOD.name)[0] == 1
-
-
-def test_ros1_given_two_runs_when_asked_for_information_then_both_are_told(both, capsys):
-    code, out, _ = call(capsys, 'bag', 'info', both)
+def test_ros1_given_two_runs_when_asked_for_information_then_both_are_told(both, taxinet):
+    code, out, _ = taxinet('bag', 'info', both)
     assert code == 0
     told = [line for line in out.splitlines() if line.startswith(('run ', 'outcome'))]
     assert [line.split()[1] for line in told] == [GOOD.name, 'PASS,', BAD.name, 'FAIL,']
     assert "by the recorder's clock" in out
-    values = json.loads(call(capsys, 'bag', 'info', both, '--json')[1])
+    values = json.loads(taxinet('bag', 'info', both, '--json')[1])
     assert [run['run_id'] for run in values['runs']] == list(RUNS)
     assert values['run'] is None
 
 
 def test_ros14_given_a_recording_by_the_wall_clock_with_silent_topics_then_doctor_finds_nothing(
-    both, capsys
+    both, taxinet
 ):
-    code, out, _ = call(capsys, 'bag', 'doctor', both)
+    code, out, _ = taxinet('bag', 'doctor', both)
     assert code == 0, out
     assert out.splitlines()[-1] == 'nothing is wrong'
     assert f'{BAD.name}: 121 control steps, every topic in each' in out
 
 
-def test_ros14_given_a_recording_that_lost_a_step_then_doctor_says_which(tmp_path, capsys):
-    kept = heard([GOOD], keep=lambda m: (m.topic.name, m.stamp_ns) != ('/taxi_command', 7 * 10**8))
-    code, out, _ = call(capsys, 'bag', 'doctor', record(tmp_path / 'lossy', kept))
+@pytest.mark.parametrize(('lost', 'expected'), [
+    (('/taxi_command', 7 * 10**8), 'step 7: without /taxi_command'),
+    (('/scenario', 0), 'scenario: 0 messages, not 1; nothing tells what was run'),
+])
+def test_ros14_given_a_recording_that_lost_a_message_then_doctor_says_which(
+    lost, expected, tmp_path, taxinet
+):
+    kept = heard([GOOD], keep=lambda m: (m.topic.name, m.stamp_ns) != lost)
+    code, out, _ = taxinet('bag', 'doctor', record(tmp_path / 'lossy', kept))
     assert code == 3
-    assert 'step 7: without /taxi_command' in out
+    assert expected in out
 
 
-def test_ros6_given_a_recording_that_lost_the_scenario_then_doctor_says_so(tmp_path, capsys):
-    kept = heard([GOOD], keep=lambda m: m.topic.name != '/scenario')
-    code, out, _ = call(capsys, 'bag', 'doctor', record(tmp_path / 'lossy', kept))
-    assert code == 3
-    assert 'scenario: 0 messages, not 1; nothing tells what was run' in out
-
-
-@pytest.mark.parametrize('name', ['', 'small_0.db3'])
-def test_ros14_given_an_sqlite3_bag_then_one_line_says_how_to_make_it_mcap(name, tmp_path, capsys):
-    (tmp_path / 'small_0.db3').write_bytes(b'SQLite format 3\0')
-    code, out, err = call(capsys, 'monitor', tmp_path / name)
-    assert (code, out, len(err.splitlines())) == (2, '', 1)
-    assert 'an sqlite3 bag; convert it to MCAP: ros2 bag convert' in err
-
-
-def test_ros14_given_a_namespace_then_the_run_is_judged_and_compared_as_without(tmp_path, capsys):
+def test_ros14_given_a_namespace_then_the_run_is_judged_and_compared_as_without(tmp_path, taxinet):
     bag = record(tmp_path / 'named', heard([BAD]), namespace='/left')
     assert [essence(one) for one in judge_runs(bag)] == [essence(judge_runs(BAD)[0])]
-    assert call(capsys, 'bag', 'compare', bag, BAD)[0] == 0
+    assert taxinet('bag', 'compare', bag, BAD)[0] == 0
 
 
 def test_ros1_given_a_time_that_begins_anew_then_the_player_asks_for_a_bag_of_each(tmp_path):
@@ -229,16 +208,16 @@ def test_ros1_given_a_time_that_begins_anew_then_the_player_asks_for_a_bag_of_ea
 
 
 def test_ros1_attack_given_two_runs_when_recovered_then_the_steps_of_each_are_told(
-    both, tmp_path, capsys
+    both, tmp_path, taxinet
 ):
-    code, out, err = call(capsys, 'bag', 'recover', both, '--out', tmp_path / 'whole')
+    code, out, err = taxinet('bag', 'recover', both, '--out', tmp_path / 'whole')
     assert (code, err) == (0, '')
     for own in (GOOD, BAD):
         assert f'{own.name}: 121 whole control steps of 121 planned, ended as' in out
     cut = record(tmp_path / 'cut', heard([GOOD, BAD]), files=3)
     last = cut / 'cut_2.mcap'
     last.write_bytes(last.read_bytes()[:-20])
-    code, out, err = call(capsys, 'bag', 'recover', cut, '--out', tmp_path / 'saved')
+    code, out, err = taxinet('bag', 'recover', cut, '--out', tmp_path / 'saved')
     assert (code, err) == (3, '')
     assert 'damage: ' in out
     assert 'lost no message except as stated above' in out
@@ -251,21 +230,21 @@ def without(topic: str, bag: Path) -> list[Any]:
 
 @pytest.mark.parametrize('runs', [1, 2])
 def test_ros1_attack_given_a_topic_that_is_missing_then_other_formulas_are_judged_all_the_same(
-    runs, tmp_path, capsys
+    runs, tmp_path, taxinet
 ):
     lossy = without('/ground_truth/odom', BAD)
     bag = record(tmp_path / 'deaf', [*(heard([GOOD]) if runs == 2 else []), *lossy])
     own = judge_runs(BAD)[0].verdicts[0]
     specs = ['--spec', own.spec.text, '--spec', 'slow=always(speed <= 30)']
     for words in (specs[:2], specs, [*specs[2:], *specs[:2]]):
-        code, out, _ = call(capsys, 'monitor', bag, *words)
+        code, out, _ = taxinet('monitor', bag, *words)
         assert code == 1
         assert 'DIFFERS' not in out
         assert ('ground_truth/odom: no messages' in out) is (len(words) > 2)
     judged = judge_runs(bag, [own.spec, parse_spec('slow=always(speed <= 30)')])[-1]
     assert judged.verdicts[0] == own
     assert judged.verdicts[1].verdict is BagVerdict.INCOMPLETE
-    code, out, _ = call(capsys, 'monitor', bag, *specs[2:], '--plot', tmp_path / 'pictures')
+    code, out, _ = taxinet('monitor', bag, *specs[2:], '--plot', tmp_path / 'pictures')
     assert code == 3
     assert out.count('picture: ') == runs
 
@@ -282,7 +261,7 @@ def test_ros1_attack_given_a_topic_that_ends_early_then_only_what_reads_it_is_in
 
 
 def test_ros1_attack_given_steps_that_come_twice_or_go_back_then_no_verdict_passes(
-    tmp_path, capsys
+    tmp_path, taxinet
 ):
     messages = heard([GOOD])
     for name, logged, word in (
@@ -292,55 +271,38 @@ def test_ros1_attack_given_steps_that_come_twice_or_go_back_then_no_verdict_pass
          'comes behind'),
     ):
         bag = record(tmp_path / name, logged)
-        code, out, _ = call(capsys, 'monitor', bag)
+        code, out, _ = taxinet('monitor', bag)
         assert code == 3, name
         assert 'INCOMPLETE' in out
         assert word in out
-        assert call(capsys, 'bag', 'doctor', bag)[0] == 3, name
+        assert taxinet('bag', 'doctor', bag)[0] == 3, name
 
 
-def test_ros1_attack_given_another_recorder_without_checksums_then_every_command_says_so(
-    tmp_path, capsys
-):
-    bag = record(tmp_path / 'bare', heard([GOOD]))
-    file = next(bag.glob('*.mcap'))
-    data = bytearray(file.read_bytes())
-    for start, _ in chunks_of(bytes(data)):
-        data[start + 33:start + 37] = bytes(4)
-    file.write_bytes(data)
-    for words in (
-        ('monitor', bag), ('bag', 'info', bag), ('bag', 'doctor', bag),
-        ('bag', 'recover', bag, '--out', tmp_path / 'saved'),
-    ):
-        code, out, _ = call(capsys, *words)
-        assert (code, 'chunks carry no checksum' in out) == (0, True), words
-
-
-def test_ros1_attack_given_absurd_stamps_then_info_names_them(tmp_path, capsys):
+def test_ros1_attack_given_absurd_stamps_then_info_names_them(tmp_path, taxinet):
     messages = heard([GOOD])
     odd = [*messages[:50], messages[50]._replace(stamp_ns=2 * 10**18), *messages[51:]]
-    code, out, _ = call(capsys, 'bag', 'info', record(tmp_path / 'odd', odd))
+    code, out, _ = taxinet('bag', 'info', record(tmp_path / 'odd', odd))
     assert code == 0
     assert 'more than a day: some stamps must be wrong' in out
     assert 'stamps go back by' in out
 
 
 def test_ros1_attack_given_a_run_without_truth_then_doctor_calls_nothing_of_it_judged(
-    tmp_path, capsys
+    tmp_path, taxinet
 ):
     keep = ('/scenario', '/run_status', '/monitor/verdict')
     bag = record(tmp_path / 'blind', heard([GOOD], keep=lambda m: m.topic.name in keep))
-    _, out, _ = call(capsys, 'bag', 'doctor', bag)
+    _, out, _ = taxinet('bag', 'doctor', bag)
     assert '0 steps, bit for bit' not in out
 
 
 def test_ros1_attack_given_a_recording_cut_short_when_split_then_the_damage_is_said(
-    both, tmp_path, capsys
+    both, tmp_path, taxinet
 ):
     file = tmp_path / 'cut.mcap'
     data = next(both.glob('*.mcap')).read_bytes()
     for size, expected, where in ((len(data) - 3000, 3, 1), (len(data) // 2, 2, 2)):
         file.write_bytes(data[:size])
-        told = call(capsys, 'bag', 'split', file, '--out', tmp_path / f'runs{size}')
+        told = taxinet('bag', 'split', file, '--out', tmp_path / f'runs{size}')
         assert told[0] == expected
         assert 'at byte' in told[where]

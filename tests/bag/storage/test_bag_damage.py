@@ -14,7 +14,6 @@ from bag_faults import STEPS, chunks_of, read_all
 from bag_samples import samples, write_bag
 from whole_runs import run_messages, write_run
 
-from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
 from taxinet_ros.bag.reader import read_info, read_messages
@@ -90,34 +89,6 @@ def test_given_a_flipped_bit_anywhere_when_judged_then_no_verdict_changes_in_sil
     assert 10 < summary < 240
 
 
-def test_given_garbage_inserted_when_read_then_only_typed_errors_come(
-    whole: bytes, damaged: Callable[[bytes], Path]
-) -> None:
-    rng = np.random.default_rng(12)
-    for _ in range(150):
-        data = bytearray(whole)
-        start, length = int(rng.integers(len(data))), int(rng.integers(1, 60))
-        data[start:start + int(rng.integers(60))] = rng.bytes(length)
-        _, error = read_all(damaged(bytes(data)))
-        assert isinstance(error, BagError)
-
-
-@pytest.mark.parametrize(('text', 'reason'), [
-    ('', 'not a bag description'),
-    ('[', 'not a bag description'),
-    ('rosbag2_bagfile_information: {message_count: 5}', 'declares 5 messages, the bag holds 19'),
-])
-def test_given_a_description_that_is_wrong_when_read_then_the_bag_is_not_complete(
-    tmp_path: Path, text: str, reason: str
-) -> None:
-    folder = write_bag(tmp_path / 'run', samples(STEPS)).parent
-    (folder / 'metadata.yaml').write_text(text)
-    info = read_info(folder)
-    assert not info.complete
-    assert reason in info.trouble
-    assert len(list(read_messages(folder))) == 19
-
-
 def test_given_a_split_bag_when_read_then_files_come_in_the_order_of_their_numbers(
     tmp_path: Path,
 ) -> None:
@@ -164,19 +135,3 @@ def test_given_a_disk_that_fails_amid_a_file_when_read_then_all_before_it_comes(
     assert isinstance(error, BagCorrupt)
     assert f'at byte {start}: [Errno 5] Input/output error; {len(found)} intact' in str(error)
     assert 6 <= len(found) < len(samples(STEPS))
-
-
-def test_given_chunks_without_checksum_then_it_is_said(
-    whole: bytes, damaged: Callable[[bytes], Path]
-) -> None:
-    assert read_info(damaged(whole)).unchecked == ''
-    chunks = chunks_of(whole)
-    data = bytearray(whole[:chunks[-1][1]])
-    for start, _ in chunks[:2]:
-        data[start + 33:start + 37] = bytes(4)
-    path = damaged(bytes(data))
-    line = f'2 of {len(chunks)} chunks carry no checksum, so that damage in them'
-    assert line in read_info(path).unchecked
-    (check,) = [one for one in check_bag(path).checks if one.name == 'bytes']
-    assert line in check.looked_at
-    assert 'under the checksums' not in check.looked_at

@@ -82,7 +82,7 @@ def test_given_workers_and_an_interruption_then_the_scenes_are_the_same(tmp_path
                 break
     toy.finish(options(tmp_path / 'two', odd, resume=True), 2)
     toy.same_table(tmp_path / 'whole', tmp_path / 'two')
-    assert read_facts(tmp_path / 'two').values['odd']['name'] == 'toy'
+    assert read_facts(tmp_path / 'two')['odd']['name'] == 'toy'
     for other in (None, read_odd(write(tmp_path, TEXT.replace('cells: 4', 'cells: 3')))):
         with pytest.raises(UsageError, match=r'was begun with odd .*, not'):
             toy.finish(options(tmp_path / 'two', other, resume=True))

@@ -21,9 +21,9 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
 )
 from taxinet_ros.campaign.past_runs.shared_scenes import Scene
 from taxinet_ros.campaign.past_runs.trials import (
-    System,
     Trial,
     TrialRecord,
+    TrialSystem,
     make_trial,
 )
 from taxinet_ros.campaign.record.content import ROW, run_key
@@ -66,7 +66,7 @@ def failed_campaign(
     gains: Mapping[str, float] = LOCKED,
 ) -> list[RunRow]:
     """Run scenes as they are, and write the record of a campaign of them."""
-    system = System(perception=perception, judging=JUDGING, gains=gains)
+    system = TrialSystem(perception=perception, judging=JUDGING, gains=gains)
     network = make_perception(perception)
     rows = []
     for index, scene in enumerate(scenes):
@@ -127,7 +127,7 @@ def test_given_a_nose_wheel_that_never_turns_then_the_truth_fails_too_and_the_la
     tmp_path,
 ):
     (row,) = failed_campaign(tmp_path / 'c', OFF[:1], perception='original')
-    system = System(perception='original', judging=JUDGING, gains=LOCKED)
+    system = TrialSystem(perception='original', judging=JUDGING, gains=LOCKED)
     network, scene = make_perception('original'), Scene(row=row, scenario=OFF[0], exact=True)
     trials = {
         word: make_trial(scene.task(word), system, network) for word in (AS_RECORDED, 'truth')

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -14,14 +14,16 @@ import pytest
 from own_place import OWN_PLACE
 
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.campaign.record.book import CampaignBook, read_same_campaign
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, facts_of_runs
+from taxinet_ros.campaign.record.book import CampaignBook, check_same_campaign
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import facts_of_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, read_table
+from taxinet_ros.cli import main as cli
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.errors import UsageError
 
 SCENE = Scenario(duration_s=1.0)
 OPTIONS = CampaignOptions(
@@ -33,9 +35,8 @@ def facts(options: CampaignOptions, **changes: Any) -> dict[str, Any]:
     return {**facts_of_runs(options, {'program': 'scenes'}), **changes}
 
 
-def events(out: Path) -> list[str]:
-    lines = (out / LEDGER_NAME).read_text(encoding='utf-8').splitlines()
-    return [json.loads(line)['event'] for line in lines]
+def goes_on(options: CampaignOptions) -> CampaignBook:
+    return CampaignBook(options, ('perception',), resume=True)
 
 
 def run(
@@ -54,17 +55,26 @@ def run(
     return result.outcome
 
 
-def test_given_a_new_book_then_facts_intents_results_and_the_table_are_kept_in_step(tmp_path):
+def test_given_a_new_book_then_facts_starts_results_and_the_table_are_kept_in_step(tmp_path):
     options = dataclasses.replace(OPTIONS, out=tmp_path / 'c')
     shown: list[RunRow] = []
     with CampaignBook(options, ('perception',), shown.append) as book:
         book.begin(facts(options))
-        assert events(options.out) == ['campaign']
-        run(book, 0)
+        content = read_campaign(options.out)
+        assert (content.facts['seed'], content.attempts, content.rows) == (3, {}, ())
+        request = book.begin_run(0, SCENE)
+        assert read_campaign(options.out).unfinished == (0,)
+        with pytest.raises(UsageError, match='another command is writing to it'):
+            goes_on(options).__enter__()
+        book.keep(book.finished_row(request, toy.result(request)))
         book.keep(book.rejected_row(1, 'no scene meets the requirements'))
-        assert events(options.out) == ['campaign', 'intent', 'result', 'result']
-        assert shown == list(book.rows.values())
+        content = read_campaign(options.out)
+        assert (content.unfinished, content.finished) == ((), False)
+        assert shown == list(book.rows.values()) == list(content.rows)
+    assert read_campaign(options.out).finished
     assert list(read_table(options.out)['outcome']) == ['PASS', 'REJECTED']
+    with pytest.raises(UsageError, match='already exists'), CampaignBook(options, ()):
+        pass
 
 
 def test_given_a_run_that_breaks_then_it_has_one_second_chance_and_its_folder_is_kept_aside(
@@ -83,7 +93,7 @@ def test_given_a_run_that_breaks_then_it_has_one_second_chance_and_its_folder_is
         book.keep(book.rejected_row(3, 'the bench had no part in it'))
         assert book.broken_in_a_row == 2
         assert book.next_retry() is None
-    assert events(tmp_path).count('intent') == 6
+    assert read_campaign(tmp_path).attempts == {0: 2, 1: 2, 2: 2}
 
 
 _READ = """
@@ -92,61 +102,46 @@ from pathlib import Path
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 found = open_campaign(Path(sys.argv[1]))
 for row in found.rows:
-    print(row.place, found.scenario(row)[0].runway.width_m)
+    scene, _ = found.scenario(row)
+    print(row.place, scene.runway.width_m, row.traffic, [one.x_m for one in scene.others.objects])
 """
 
 
-def test_given_runs_at_a_place_of_ones_own_then_the_ledger_has_it_once_and_rows_its_reference(
+def test_given_places_and_traffic_of_ones_own_then_each_is_on_record_once_and_rows_refer_to_it(
     tmp_path
 ):
     options = dataclasses.replace(OPTIONS, out=tmp_path)
-    there = dataclasses.replace(SCENE, place=OWN_PLACE)
-    reference = there.to_human()['place']
+    scenes = [
+        dataclasses.replace(SCENE, place=OWN_PLACE),
+        *(dataclasses.replace(SCENE, traffic=load_traffic([{'kind': 'cone', 'x_m': x, 'y_m': 2}]))
+          for x in (500, 510)),
+        SCENE,
+    ]
     with CampaignBook(options, ('perception',)) as book:
         book.begin(facts(options))
-        run(book, 0, scene=there)
-        run(book, 1)
-    with CampaignBook(options, ('perception',), resume=True) as book:
-        book.begin(facts(options), read_same_campaign(tmp_path, facts(options)))
-        run(book, 2, scene=there)
-    assert events(tmp_path).count('place') == 1
-    assert list(read_table(tmp_path)['place']) == [reference, 'kmwh_04', reference]
+        for index, scene in enumerate(scenes):
+            run(book, index, scene=scene)
+    with goes_on(options) as book:
+        book.begin(facts(options))
+        run(book, 4, scene=scenes[0])
+        run(book, 5, scene=scenes[1])
+    own, first, second = (
+        scene.to_human()[key] for scene, key in zip(scenes, ('place', 'traffic', 'traffic'),
+                                                    strict=False)
+    )
+    assert first != second
+    assert read_campaign(tmp_path).documents == {
+        ('place', own), ('traffic', first), ('traffic', second)
+    }
     # Another process has seen neither the place nor a file of it.
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, '-c', _READ, str(tmp_path)], capture_output=True, text=True, check=True
     )
-    assert told.stdout.splitlines() == [
-        f'{reference} 45.0', f'kmwh_04 {SCENE.runway.width_m}', f'{reference} 45.0'
-    ]
-
-
-def test_given_runs_with_others_on_the_ground_then_the_ledger_has_each_once_and_rows_a_reference(
-    tmp_path
-):
-    options = dataclasses.replace(OPTIONS, out=tmp_path)
-    crowds = [
-        dataclasses.replace(SCENE, traffic=load_traffic([{'kind': 'cone', 'x_m': x, 'y_m': 2}]))
-        for x in (500, 510)
-    ]
-    with CampaignBook(options, ('perception',)) as book:
-        book.begin(facts(options))
-        for index, scene in enumerate((*crowds, SCENE)):
-            run(book, index, scene=scene)
-    with CampaignBook(options, ('perception',), resume=True) as book:
-        book.begin(facts(options), read_same_campaign(tmp_path, facts(options)))
-        run(book, 3, scene=crowds[0])
-    assert events(tmp_path).count('traffic') == 2
-    first, second = (crowd.to_human()['traffic'] for crowd in crowds)
-    assert first != second
-    assert list(read_table(tmp_path)['traffic']) == [first, second, 'nobody', first]
-    read = _READ.replace('row.place', 'row.traffic').replace(
-        '.runway.width_m', '.traffic == "nobody" or found.scenario(row)[0].others.objects[0].x_m'
-    )
-    told = subprocess.run(
-        [sys.executable, '-c', read, str(tmp_path)], capture_output=True, text=True, check=True
-    )
-    assert told.stdout.splitlines() == [
-        f'{first} 500.0', f'{second} 510.0', 'nobody True', f'{first} 500.0'
+    width = SCENE.runway.width_m
+    there, crowded = f'{own} 45.0 nobody []', f'kmwh_04 {width} {first} [500.0]'
+    assert done.stdout.splitlines() == [
+        there, crowded, f'kmwh_04 {width} {second} [510.0]', f'kmwh_04 {width} nobody []', there,
+        crowded,
     ]
 
 
@@ -158,14 +153,15 @@ def test_given_a_book_that_goes_on_then_its_facts_are_written_with_the_first_thi
         book.begin(facts(options))
         run(book, 0)
     more = dataclasses.replace(options, runs=9)
-    with CampaignBook(more, ('perception',), resume=True) as book:
-        before = read_same_campaign(tmp_path, facts(more))
-        book.begin(facts(more), before)
+    with goes_on(more) as book:
+        check_same_campaign(tmp_path, book.earlier, facts(more))
+        book.begin(facts(more))
         assert list(book.rows) == [0]
-        assert events(tmp_path) == ['campaign', 'intent', 'result']
+        content = read_campaign(tmp_path)
+        assert (content.facts['runs'], content.finished) == (4, True)
         run(book, 1)
-        assert events(tmp_path)[3:] == ['campaign', 'intent', 'result']
-    assert json.loads((tmp_path / 'campaign.json').read_text())['runs'] == 9
+        content = read_campaign(tmp_path)
+        assert (content.facts['runs'], content.finished) == (9, False)
     assert len(read_table(tmp_path)) == 2
 
 
@@ -175,35 +171,48 @@ def test_given_another_campaign_than_was_begun_then_nothing_is_changed_and_both_
         book.begin(facts(options))
         run(book, 0)
     kept = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
-    refused = [
+    for changes, words in (
         ({'seed': 4}, 'was begun with seed 3, not 4; repeat its options, or choose another --out'),
-        ({'sampler': 'ce'}, r'campaign\.json: not written by taxinet falsify'),
-        ({'shrinks': 'run-0'}, r'campaign\.json: not written by taxinet shrink'),
-    ]
-    for changes, words in refused:
-        with (
-            pytest.raises(UsageError, match=words),
-            CampaignBook(options, ('perception',), resume=True),
-        ):
-            read_same_campaign(tmp_path, facts(options, **changes))
+        ({'sampler': 'ce'}, r'campaign\.db: not written by taxinet falsify'),
+        ({'shrinks': 'run-0'}, r'campaign\.db: not written by taxinet shrink'),
+    ):
+        with pytest.raises(UsageError, match=words), goes_on(options) as book:
+            check_same_campaign(tmp_path, book.earlier, facts(options, **changes))
     assert {path: path.read_bytes() for path in kept} == kept
-    with pytest.raises(UsageError, match='already exists'), CampaignBook(options, ()):
-        pass
 
 
 def test_given_a_book_that_was_never_begun_then_no_table_says_otherwise(tmp_path):
-    options = dataclasses.replace(OPTIONS, out=tmp_path)
-    with CampaignBook(options, ()):
+    with CampaignBook(dataclasses.replace(OPTIONS, out=tmp_path), ()):
         pass
     assert not (tmp_path / CSV_NAME).exists()
 
 
-def test_given_facts_that_are_deleted_under_way_then_the_campaign_ends_and_says_so(tmp_path):
-    options = dataclasses.replace(OPTIONS, out=tmp_path)
-    book = CampaignBook(options, ('perception',)).__enter__()
-    book.begin(facts(options))
-    (tmp_path / 'campaign.json').unlink()
-    with pytest.raises(RecordError, match=r'campaign\.json: was moved or deleted while'):
-        run(book, 0)
-    with pytest.raises(RecordError, match=r'campaign\.json: was moved or deleted while'):
-        book.__exit__(None, None, None)
+@pytest.mark.parametrize('most_bytes', [70_000, 150_000])
+def test_given_a_full_disk_then_the_campaign_ends_with_one_line_and_goes_on_when_there_is_room(
+    tmp_path, capsys, most_bytes
+):
+    """No room for the facts, or for the runs."""
+    options = dataclasses.replace(OPTIONS, out=tmp_path / 'c', runs=200)
+
+    def work() -> None:
+        resume = (tmp_path / 'c').exists()
+        with CampaignBook(options, ('perception',), resume=resume) as book:
+            book.begin(facts(options, program_text='x' * 30_000))
+            for index in range(len(book.rows), options.runs):
+                run(book, index)
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, limits[1]))
+    try:
+        code = cli._exit_code(work)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    err = capsys.readouterr().err
+    assert (code, err.count('\n')) == (4, 1)
+    assert err.startswith(f'taxinet: error: {tmp_path}/c/campaign.db: [Errno ')
+    assert err.endswith('; continue with --resume\n')
+    known = len(read_campaign(tmp_path / 'c').rows)
+    assert known < 200
+    assert (known > 0) == (most_bytes > 100_000)
+    work()
+    assert list(read_table(tmp_path / 'c')['index']) == list(range(200))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import random
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -54,22 +57,22 @@ def mixed() -> list[RunRow]:
             run(3, Outcome.FAIL, left=True)]
 
 
-def test_given_rows_when_written_then_parquet_gives_the_same_table_back(tmp_path: Path) -> None:
-    write_tables(mixed(), tmp_path, SPECS)
-    frame = read_table(tmp_path)
+def write(rows: Sequence[RunRow], folder: Path) -> Path:
+    write_tables(rows, folder, {'specs': dict.fromkeys(SPECS, '')})
+    return folder
+
+
+def test_given_rows_when_written_then_both_files_say_the_same(tmp_path: Path) -> None:
+    frame = read_table(write(mixed(), tmp_path))
     pd.testing.assert_frame_equal(frame, table(mixed(), SPECS))
     assert list(frame['index']) == [0, 1, 2, 3]
     assert list(frame['outcome']) == ['PASS', 'INFRA_ERROR', 'REJECTED', 'FAIL']
     assert sorted(path.name for path in tmp_path.iterdir()) == ['runs.csv', 'runs.parquet']
-
-
-def test_given_rows_when_written_then_csv_says_the_same(tmp_path: Path) -> None:
-    write_tables(mixed(), tmp_path, SPECS)
-    frame = pd.read_csv(tmp_path / 'runs.csv')
-    assert list(frame.columns) == list(table(mixed(), SPECS).columns)
-    assert frame['rho'][0] == 0.5
-    assert frame['detail'][2] == 'no, "never"'
-    assert frame['heading_deg'][0] == pytest.approx(math.degrees(0.1))
+    csv = pd.read_csv(tmp_path / 'runs.csv')
+    assert list(csv.columns) == list(frame.columns)
+    assert csv['rho'][0] == 0.5
+    assert csv['detail'][2] == 'no, "never"'
+    assert csv['heading_deg'][0] == pytest.approx(math.degrees(0.1))
 
 
 def test_given_runs_without_verdict_when_in_a_table_then_rho_is_missing_and_not_zero() -> None:
@@ -98,8 +101,7 @@ def test_given_few_or_empty_rows_when_in_a_table_then_its_types_are_the_usual(
     rows: list[RunRow], tmp_path: Path,
 ) -> None:
     usual = table(mixed(), SPECS).dtypes
-    write_tables(rows, tmp_path, SPECS)
-    assert read_table(tmp_path).dtypes.equals(usual)
+    assert read_table(write(rows, tmp_path)).dtypes.equals(usual)
     assert table(rows, SPECS).dtypes.equals(usual)
 
 
@@ -113,10 +115,57 @@ def test_given_a_table_then_it_has_every_scenario_key_and_the_wall_clock_is_last
 def test_given_no_table_or_a_damaged_one_when_read_then_one_line_says_so(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match='no such table'):
         read_table(tmp_path)
-    (tmp_path / 'runs.parquet').write_bytes(b'PAR1 but not really')
-    with pytest.raises(UsageError, match='damaged') as caught:
-        read_table(tmp_path)
-    assert '\n' not in str(caught.value)
+    path = write(mixed(), tmp_path) / 'runs.parquet'
+    sound, chance = path.read_bytes(), random.Random(2)
+    for _ in range(100):
+        data = bytearray(sound)
+        data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+        path.write_bytes(data)
+        with pytest.raises(UsageError) as caught:
+            read_table(tmp_path)
+        assert str(caught.value).startswith(f'{path}: ')
+        assert '\n' not in str(caught.value)
+
+
+def test_given_a_table_of_pandas_then_it_is_said_to_be_unverified(tmp_path: Path, capsys) -> None:
+    path = write(mixed(), tmp_path) / 'runs.parquet'
+    frame = read_table(path)
+    assert capsys.readouterr().err == '', 'it has a checksum in itself'
+    frame.to_parquet(path)
+    assert len(read_table(path)) == 4
+    assert capsys.readouterr().err == (
+        f'taxinet: warning: {path}: is unverified, since it has no checksum\n'
+    )
+
+
+@pytest.mark.parametrize(('row', 'column', 'value', 'said'), [
+    (0, 'rho_phi_eventually', -1.0, 'PASS, but a robustness is not above 0'),
+    (0, 'rho', -1.0, 'PASS, but rho is not above 0'),
+    (0, 'outcome', 'FAIL', 'FAIL, but no robustness is 0 or less'),
+    (0, 'outcome', 'INFRA_ERROR', 'a robustness without a verdict'),
+    (0, 'outcome', 'GREAT', 'an unknown word for outcome'),
+    (0, 'run_id', '../../../etc', 'its run_id is not a plain name'),
+    (0, 'index', -1, 'its index is negative'),
+    (0, 'distance_m', math.inf, 'distance_m is not finite'),
+    (0, 'clouds', 'purple', 'an unknown word for clouds'),
+    (1, 'run_id', 'run-0', 'its run_id occurs twice'),
+    (1, 'index', 0, 'its index occurs twice'),
+])
+def test_given_a_row_that_cannot_be_then_the_tables_row_is_named(
+    tmp_path: Path, row: int, column: str, value: object, said: str
+) -> None:
+    above = exact_intervals({'phi_eventually': 0.5})
+    frame = table([
+        dataclasses.replace(run(index, Outcome.PASS), robustness=above) for index in (0, 1)
+    ])
+    frame.loc[row, column] = value
+    if column == 'rho_phi_eventually':
+        ends = [f'rho_{end}.phi_eventually' for end in ('lower', 'upper')]
+        frame.loc[row, ends] = value
+    frame.to_parquet(tmp_path / 'edited.parquet')
+    with pytest.raises(UsageError) as caught:
+        read_table(tmp_path / 'edited.parquet')
+    assert f'edited.parquet: row {row + 1}: {said}' in str(caught.value)
 
 
 @given(n=st.integers(1, 400), data=st.data())

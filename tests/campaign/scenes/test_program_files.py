@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.record.book import read_same_campaign
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, campaign_facts
-from taxinet_ros.campaign.record.ledger import Ledger
+from taxinet_ros.campaign.record.book import check_same_campaign
+from taxinet_ros.campaign.record.content import CampaignContent
+from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.scenes.programs import (
     MODEL,
     check_same_files,
@@ -127,11 +127,10 @@ def test_a_resumed_campaign_compares_the_modules_of_its_program(
         program=str(program), runs=2, seed=1, perception='truth', settings=(),
         specs=('phi_always',), out=tmp_path, processes=False,
     )
-    with Ledger(tmp_path / LEDGER_NAME) as ledger:
-        ledger.campaign(campaign_facts(options, program, text))
+    before = CampaignContent(facts=campaign_facts(options, program, text))
     now = campaign_facts(options, program, text.replace('MOST = 3', 'MOST = 9'))
     with pytest.raises(UsageError, match=r'begun with another text of lib/__init__\.py; put'):
-        read_same_campaign(tmp_path, now)
+        check_same_campaign(tmp_path, before, now)
 
 
 def test_a_written_program_runs_the_modules_and_files_of_the_stored_one(

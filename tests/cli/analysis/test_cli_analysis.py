@@ -59,9 +59,12 @@ def exchange_bags(experiment: Path) -> None:
         shutil.copytree(experiment / 'near' / bag.name, bag)
 
 
-def hide_the_arm(experiment: Path) -> None:
+def hidden(experiment: Path) -> None:
+    """A stray recording does not make a bag of an arm."""
     (experiment / 'far' / 'x.mcap').touch()
-    (experiment / 'far' / 'runs.csv').write_text('')
+    for bag in (experiment / 'far').glob('*-0*'):
+        shutil.rmtree(bag)
+    shutil.rmtree(experiment / 'far' / 'logs')
 
 
 def exchange(experiment: Path) -> None:
@@ -71,11 +74,11 @@ def exchange(experiment: Path) -> None:
 
 
 @pytest.mark.parametrize(('change', 'says'), [
-    (exchange, 'near/ledger.jsonl: its first '),
-    (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
-    (lambda experiment: (experiment / 'far' / 'ledger.jsonl').unlink(), 'far/ledger.jsonl: '),
+    (exchange, 'near: is arm far of its experiment'),
+    (lambda experiment: shutil.rmtree(experiment / 'far'), 'far: is an arm of the '),
+    (lambda experiment: (experiment / 'far' / 'campaign.db').unlink(), 'far: is an arm of the '),
+    (hidden, 'far/halton_time_of_day-s0-00000: is missing'),
     (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track_m is 0.0, the row has 4'),
-    (hide_the_arm, 'far/runs.csv: '),
 ])
 def test_doctor_given_arms_that_are_exchanged_or_gone_then_it_says_so(
     folder, tmp_path, change, says

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from campaign_records import write_campaign
 from taxinet_process import taxinet_apart
 
+from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.cli import main
 from taxinet_ros.cli.progress import HEARTBEAT
-from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.files.sealed_json import read_sealed
 
 
 def table(runs: int, perception: str, early_fails: bool) -> pd.DataFrame:
@@ -32,18 +37,22 @@ def table(runs: int, perception: str, early_fails: bool) -> pd.DataFrame:
     })
 
 
+def rows_of(frame: pd.DataFrame) -> Iterator[RunRow]:
+    for line in frame.drop(columns='rho').to_dict('records'):
+        robustness = {'phi': RobustnessInterval.exactly(line.pop('rho_phi'))}
+        yield RunRow(**{**line, 'outcome': Outcome(line['outcome']), 'robustness': robustness})
+
+
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a campaign ``c`` and a table ``better.parquet``; ``c`` is analysed."""
     folder = tmp_path_factory.mktemp('analyze')
-    (folder / 'c').mkdir()
-    table(120, 'original', early_fails=True).to_parquet(folder / 'c' / 'runs.parquet')
-    write_sealed(folder / 'c' / 'campaign.json', {'runs': 120}, [folder / 'c' / 'runs.parquet'])
+    write_campaign(folder / 'c', rows_of(table(120, 'original', early_fails=True)), {'runs': 120})
     table(60, 'taxinet', early_fails=False).to_parquet(folder / 'better.parquet')
     done = taxinet_apart('analyze', 'c', '--baseline', 'better.parquet', cwd=folder)
     assert done.returncode == 0, done.stderr
     assert done.stderr == (
-        'taxinet: warning: .: its tables are unverified, since campaign.json is not there\n'
+        'taxinet: warning: better.parquet: is unverified, since it has no checksum\n'
     )
     (folder / 'stdout').write_text(done.stdout)
     return folder

@@ -11,7 +11,7 @@ import pytest
 from taxinet_ros.analysis.gate import GateOptions, Look, Verdict, gate_result
 from taxinet_ros.analysis.plan import Claim, hopeless, plan_claim
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER
+from taxinet_ros.campaign.record.content import CampaignContent
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
@@ -31,7 +31,7 @@ def campaign(passed: int, failed: int, **changes) -> RecordedCampaign:
             'robustness': exact_intervals({'phi': 1.0 if good else -1.0}), **changes,
         }
         rows.append(RunRow(outcome=Outcome.PASS if good else Outcome.FAIL, **values))
-    content = dataclasses.replace(EMPTY_LEDGER, rows=tuple(rows), campaign={'runs': len(rows)})
+    content = CampaignContent(rows=tuple(rows), facts={'runs': len(rows)})
     return RecordedCampaign(folder=Path('made'), content=content)
 
 
@@ -74,7 +74,7 @@ def test_gate_and_plan_count_the_same_further_runs(passed, open_ended):
     runs = campaign(passed, 0)
     options = GateOptions(min_satisfaction=0.9)
     planned = 10 if open_ended else passed
-    content = dataclasses.replace(runs.content, campaign={'runs': planned})
+    content = dataclasses.replace(runs.content, facts={'runs': planned})
     plan = plan_claim(CLAIM, dataclasses.replace(runs, content=content))
     criterion = gate_result(runs.rows, options, planned=planned).criteria[0]
     further = plan.further[0].drawn

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -11,12 +10,13 @@ from pathlib import Path
 import pandas as pd
 import psutil
 import pytest
+from campaign_records import results
 from process_table import gone
 from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.facts import read_facts
-from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 
 pytestmark = pytest.mark.ros
@@ -53,11 +53,6 @@ def check_same(one: Path, other: Path) -> None:
             assert (one / bag / name).read_bytes() == (other / bag / name).read_bytes(), name
 
 
-def events(out: Path, kind: str) -> int:
-    ledger = out / 'ledger.jsonl'
-    return ledger.read_text().count(f'"event":"{kind}"') if ledger.exists() else 0
-
-
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory) -> Path:
     """A search on the graph."""
@@ -73,9 +68,9 @@ def test_given_a_search_by_two_loops_then_rows_and_bags_are_those_of_the_graph(w
     assert done.returncode in (0, 1), done.stderr
     assert 'perception truth, engine loop, 50 % audited, 2 workers' in done.stdout
     check_same(whole, out)
-    told = read_facts(out).values
+    told = read_facts(out)
     assert (told['engine'], told['audit_percent']) == ('loop', 50.0)
-    assert (read_facts(whole).values['engine'], read_facts(whole).values['audit_percent']) == (
+    assert (read_facts(whole)['engine'], read_facts(whole)['audit_percent']) == (
         'graph', 0.0
     )
     assert not list((out / 'logs' / 'audit').glob('nominal-*')), 'equal bags are not kept'
@@ -92,11 +87,7 @@ def test_given_a_campaign_on_one_engine_when_resumed_on_the_other_then_nothing_t
         resume = ['--resume'] if out.exists() else []
         assert taxinet(*words, *engine, *resume, '--out', out).returncode in (0, 1)
     check_same(whole, out)
-    told = [
-        json.loads(line)['campaign']['engine']
-        for line in (out / 'ledger.jsonl').read_text().splitlines() if '"event":"campaign"' in line
-    ]
-    assert told == ['graph', 'loop', 'graph'], 'the ledger says which engine made what'
+    assert read_facts(out)['engine'] == 'graph', 'that of the latest session'
 
 
 def test_given_a_plain_campaign_by_the_loop_then_rows_and_bags_are_those_of_the_graph(tmp_path):
@@ -144,7 +135,7 @@ def test_given_a_perception_that_is_not_a_function_of_its_frame_then_an_audit_en
     assert table['retries'].max() == 0
     for folder in ('', 'logs/audit'):
         assert (tmp_path / 'c' / folder / 'nominal-s4-00000' / 'metadata.yaml').is_file()
-    assert len(read_ledger(tmp_path / 'c' / 'ledger.jsonl').rows) == len(table)
+    assert len(read_campaign(tmp_path / 'c').rows) == len(table)
 
 
 @pytest.mark.nightly
@@ -154,13 +145,13 @@ def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_a
     out = tmp_path / 'c'
     words = [*SEARCH, *LOOP, '--audit', '100', '--workers', '2', '--out', str(out)]
     with begun(*words) as search:
-        wait_for(lambda: events(out, 'result') >= 2)
+        wait_for(lambda: results(out) >= 2)
         below = [child.pid for child in psutil.Process(search.pid).children(recursive=True)]
         assert len(below) >= 4, 'Scenic, a loop, and the graph of its audits at least'
         search.send_signal(signal.SIGKILL)
         search.wait()
         wait_for(lambda: all(map(gone, below)))
-    assert events(out, 'result') < 8
+    assert results(out) < 8
     done = taxinet(*words, '--resume')
     assert done.returncode in (0, 1), done.stderr
     check_same(whole, out)
@@ -171,7 +162,7 @@ def test_given_a_killed_loop_then_the_rows_are_the_same(whole, tmp_path):
     out = tmp_path / 'c'
     words = [*SEARCH, *LOOP, '--audit', '100', '--workers', '2', '--out', str(out)]
     with begun(*words) as search:
-        wait_for(lambda: events(out, 'result') >= 1)
+        wait_for(lambda: results(out) >= 1)
         loops = [
             child.pid for child in psutil.Process(search.pid).children()
             if 'taxinet_ros.campaign.loop_worker' in child.cmdline()
@@ -194,7 +185,7 @@ def test_given_an_interrupt_then_what_is_recorded_is_complete_and_can_be_resumed
     long = ['duration=60' if word == 'duration=2' else word for word in SCENES]
     words = [command, *long, '--runs', '200', *LOOP, '--audit', '0', '--out', str(out)]
     with begun(*words) as campaign:
-        wait_for(lambda: events(out, 'result') >= 1)
+        wait_for(lambda: results(out) >= 1)
         campaign.send_signal(signal.SIGINT)
         stdout, _ = campaign.communicate()
     assert campaign.returncode == 130, stdout

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from campaign_records import results
 from process_table import children, gone
 from taxinet_process import begun as command_begun
 from taxinet_process import taxinet, taxinet_apart
@@ -19,6 +19,7 @@ from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.learned_result import LearnedResult
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.samplers.sampler import LAG
 
@@ -39,11 +40,6 @@ def begun(
     *words: str, stderr: int | None = None
 ) -> AbstractContextManager[subprocess.Popen[str]]:
     return command_begun(*WORDS, *words, stderr=stderr)
-
-
-def results(out: Path) -> int:
-    ledger = out / 'ledger.jsonl'
-    return ledger.read_text().count('"event":"result"') if ledger.exists() else 0
 
 
 def frames(bag: Path) -> int:
@@ -73,7 +69,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_was_learned(whole):
+def test_given_a_search_then_there_are_bags_without_pictures_a_record_and_what_was_learned(whole):
     table = read_table(whole)
     assert table['rho'].notna().all()
     for bag, outcome in zip(table['bag'], table['outcome'], strict=True):
@@ -81,9 +77,9 @@ def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_w
         assert info.complete
         assert ('/camera/image_raw' in info.counts) == (outcome == 'FAIL')
         assert info.counts['/ground_truth/odom'] == 21
-    events = [json.loads(line) for line in (whole / 'ledger.jsonl').read_text().splitlines()]
-    assert [event['event'] for event in events] == ['campaign', *['intent', 'result'] * 10]
-    assert all(len(event['scenario_sha256']) == 64 for event in events[1::2])
+    content = read_campaign(whole)
+    assert (content.finished, len(content.rows)) == (True, 10)
+    assert content.attempts == dict.fromkeys(range(10), 1)
     learned = LearnedResult.read(whole).probabilities
     assert set(learned) == {name[2:] for name in table.columns if name.startswith('u_')}
     assert all(sum(one) == pytest.approx(1) for one in learned.values())

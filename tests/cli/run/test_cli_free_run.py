@@ -11,7 +11,7 @@ from taxinet_process import taxinet
 from taxinet_ros.analysis.runs.campaign import read_runs, runs_of
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.past_runs.localisation import make_localize_options
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.resumption import facts_of_graph
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.run.commands import falsify
@@ -44,9 +44,9 @@ def test_r5_given_free_runs_then_rows_facts_and_bag_say_so(folder):
     assert list(table['timing']) == [WORDS, WORDS]
     assert list(table['free_frames']) == [31, 31]
     assert (table['free_loop_simulated_median_s'] >= 0.1).all()
-    assert json.loads((folder / 'campaign.json').read_text())['timing'] == WORDS
-    for row, frame in zip(read_ledger(folder / 'ledger.jsonl').rows, table.to_dict('records'),
-                          strict=True):
+    content = read_campaign(folder)
+    assert content.facts['timing'] == WORDS
+    for row, frame in zip(content.rows, table.to_dict('records'), strict=True):
         assert row.free['unanswered'] == frame['free_unanswered']
     done = taxinet('bag', 'info', 'nominal-s0-00000', cwd=folder)
     assert f'timing     {WORDS}' in done.stdout

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -10,8 +9,9 @@ from taxinet_process import taxinet
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.options import make_options
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.facts import read_facts
-from taxinet_ros.campaign.record.resumption import read_earlier_runs
+from taxinet_ros.campaign.record.resumption import earlier_runs
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.shrink.options import make_shrink_options
 from taxinet_ros.campaign.shrink.shrinking import Shrinking
@@ -44,7 +44,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def test_r5_given_a_latency_then_facts_rows_and_bag_info_say_it(folder):
-    assert json.loads((folder / 's' / 'campaign.json').read_text())['timing'] == WORDS
+    assert read_facts(folder / 's')['timing'] == WORDS
     assert set(read_table(folder / 's')['timing']) == {WORDS}
     done = taxinet('bag', 'info', 's/nominal-s0-00001', cwd=folder)
     assert f'timing     {WORDS}' in done.stdout.splitlines()
@@ -63,13 +63,12 @@ def test_r5_given_two_workers_then_every_run_is_that_of_the_loop_in_one_process(
 
 
 def test_r5_given_another_latency_then_resume_refuses_it_by_name(folder):
-    told = read_facts(folder / 's')
-    assert told is not None
-    facts = told.values
-    assert len(read_earlier_runs(folder / 's', facts).rows) == 3
+    content = read_campaign(folder / 's')
+    facts = content.facts
+    assert len(earlier_runs(folder / 's', content, facts).rows) == 3
     for other in ('', 'latency perception=0.9'):
         with pytest.raises(UsageError, match='was begun with timing "latency perception=normal'):
-            read_earlier_runs(folder / 's', {**facts, 'timing': other})
+            earlier_runs(folder / 's', content, {**facts, 'timing': other})
 
 
 def test_r5_given_a_run_with_latency_when_run_again_then_it_is_the_same_to_the_bit(folder):
@@ -105,5 +104,4 @@ def test_r5_given_a_failed_run_when_shrunk_then_every_run_has_its_draws(folder):
     assert campaign_graph(options.campaign, system).timing == options.campaign.timing
     with Shrinking(options, PARTICIPANTS) as shrinking:
         assert shrinking.next() is not None
-    facts = json.loads((folder / 'small' / 'campaign.json').read_text())
-    assert facts['timing'] == f'{WORDS} draws=0.1'
+    assert read_facts(folder / 'small')['timing'] == f'{WORDS} draws=0.1'

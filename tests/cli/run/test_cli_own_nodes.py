@@ -20,6 +20,7 @@ from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.table import read_table
 
 EXAMPLES = Path(__file__).parents[3] / 'examples'
@@ -120,7 +121,7 @@ def rows(folder: Path):
 
 
 def test_given_functions_of_a_file_then_bags_and_facts_say_which(folder):
-    facts = json.loads((folder / 'p' / 'campaign.json').read_text())
+    facts = read_facts(folder / 'p')
     run = open_recording(folder / 'p' / 'nominal-s0-00001').run
     assert (run.perception, run.controller, run.gains) == ('python', 'python', {})
     assert run.fingerprint == run.controller_fingerprint == facts['controller_sha256']
@@ -355,8 +356,7 @@ def test_r11_given_an_experiment_whose_arms_differ_in_the_controller_then_its_ta
     )
     done = taxinet('experiment', 'e.yaml', '--out', 'e', cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
-    facts = [json.loads((folder / 'e' / arm / 'campaign.json').read_text())
-             for arm in ('law', 'mine')]
+    facts = [read_facts(folder / 'e' / arm) for arm in ('law', 'mine')]
     assert [one['controller'] for one in facts] == ['steering', 'mine.py:steer']
     assert 'controller mine.py:steer' in (folder / 'e' / 'experiment.html').read_text()
     assert not rows(folder / 'e' / 'law')['rho'].equals(rows(folder / 'e' / 'mine')['rho'])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 
 import pandas as pd
@@ -12,9 +11,10 @@ from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.campaign.record.content import read_campaign
 
 
-def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags(tmp_path):
+def test_given_a_program_when_run_then_there_are_lines_a_table_a_record_and_bags(tmp_path):
     out = tmp_path / 'campaign'
     done = taxinet_apart(
         'run', 's_falsif', '--runs', '2', '--seed', '3', '--perception', 'truth',
@@ -42,14 +42,12 @@ def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags
         assert len(trace['t_ns']) == 121
         assert trace['cte_m'][0] == pytest.approx(start, abs=1e-6)
         assert trace['x_m'][-1] - trace['x_m'][0] > 30, 'the aircraft has moved'
-    facts = json.loads((out / 'campaign.json').read_text())
+    content = read_campaign(out)
+    facts = content.facts
     assert facts['gains'] == {'heading_gain': 1.5}
     assert facts['images'] == 'failures', 'nobody looks at the pictures of several runs'
     assert 'time_of_day' in facts['program_text']
-    events = [json.loads(line) for line in (out / 'ledger.jsonl').read_text().splitlines()]
-    assert [event['event'] for event in events] == [
-        'campaign', 'intent', 'result', 'intent', 'result',
-    ]
+    assert (content.attempts, content.unfinished, content.finished) == ({0: 1, 1: 1}, (), True)
 
 
 def test_given_a_formula_that_cannot_hold_then_the_exit_code_is_one(tmp_path):
@@ -59,7 +57,7 @@ def test_given_a_formula_that_cannot_hold_then_the_exit_code_is_one(tmp_path):
     )
     assert (done.returncode, done.stderr) == (1, '')
     table = pd.read_parquet(tmp_path / 'c' / 'runs.parquet')
-    assert json.loads((tmp_path / 'c' / 'campaign.json').read_text())['images'] == 'all'
+    assert read_campaign(tmp_path / 'c').facts['images'] == 'all'
     assert table['outcome'][0] == 'FAIL'
     assert table['rho_fast'][0] == pytest.approx(-45, abs=0.5)
     assert table['rho_on_runway'][0] > 10

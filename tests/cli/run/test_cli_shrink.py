@@ -8,6 +8,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from campaign_records import results
 from taxinet_process import begun, taxinet
 from waiting import wait_for
 
@@ -99,9 +100,8 @@ def test_given_the_command_that_is_printed_then_the_shrunk_scenario_fails_as_it_
 
 def test_given_an_interrupt_when_resumed_then_it_ends_as_if_there_had_been_none(folder):
     words = ('shrink', 'c/nominal-s0-00000', '--workers', '2', '--out', 'i')
-    ledger = folder / 'i' / 'ledger.jsonl'
     with begun(*words, cwd=folder) as process:
-        wait_for(lambda: ledger.exists() and ledger.read_text().count('"result"') >= 3)
+        wait_for(lambda: results(folder / 'i') >= 3)
         process.send_signal(signal.SIGINT)
         stdout, _ = process.communicate()
     assert process.returncode == 130

@@ -51,7 +51,7 @@ def no_progress(stage, done, total):
     ([(12, 31)], 12.0, True), ([(0, 4), (8, 11)], 8.0, True), ([(12, 13), (20, 21)], 12.0, True),
 ])
 def test_given_a_run_then_an_alarm_is_due_when_it_leaves_the_line_for_its_violation(
-    outside, due, within,
+    outside, due, within
 ):
     times = [k / 10 for k in range(301)]
     cte = [2.0 if any(a <= t < b for a, b in outside) else -1.0 for t in times]

@@ -32,7 +32,7 @@ def test_given_the_word_write_or_options_first_then_it_is_the_same(taxinet, tmp_
         tmp_path / 'two' / 'MANIFEST').read_bytes()
     code, out, _ = taxinet('evidence', 'found', '--out', 'three', '--json')
     assert code == 0
-    assert json.loads(out)['schema'] == 'taxinet-evidence-2'
+    assert json.loads(out)['schema'] == 'taxinet-evidence-3'
 
 
 def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, tmp_path):

@@ -8,6 +8,7 @@ import shutil
 import pytest
 from planted_evidence import FAIL, INFRA, PASS, SHA, UNDECIDED, judged_monitor, planted
 
+import taxinet_ros as tx
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -16,9 +17,11 @@ from taxinet_ros.extras.evidence.evidence import EvidenceOptions, collect, parse
 from taxinet_ros.extras.evidence.inputs import read_requirement
 
 
-def collected(*folders, **options):
+def collected(*folders, requirement=None, **options):
+    words = None if requirement is None else read_requirement(requirement)
     return collect(
-        EvidenceOptions(campaigns=folders, **options), folders[0].parent / 'evidence'
+        EvidenceOptions(campaigns=folders, requirement=words, **options),
+        folders[0].parent / 'evidence',
     ).content
 
 
@@ -26,8 +29,9 @@ def limits(content):
     return {one['id'] for one in content['limits']}
 
 
-def the_goals(content):
-    return list(goals(content['argument']))
+def the_goal(content, words):
+    """The first goal whose text has these words."""
+    return next(one for one in goals(content['argument']) if words in one['text'])
 
 
 def formula(content, system=0, name='phi'):
@@ -71,10 +75,8 @@ def test_given_infrastructure_errors_then_they_are_in_no_rate_and_have_their_own
 def test_given_a_claim_then_the_whole_interval_decides(tmp_path, passed, failed, claim, verdict):
     content = collected(planted(tmp_path / 'a', [PASS] * passed + [FAIL] * failed), claim=claim)
     assert content['systems'][0]['claim']['verdict'] == verdict
-    goals = [one for one in the_goals(content) if 'in at least' in one['text']]
-    assert [one['verdict'] for one in goals] == [verdict]
-    if verdict == 'refuted':
-        assert content['argument']['verdict'] == 'refuted'
+    assert the_goal(content, 'in at least')['verdict'] == verdict
+    assert verdict != 'refuted' or content['argument']['verdict'] == 'refuted'
 
 
 def test_given_runs_stopped_undecided_then_there_are_bounds_and_no_rate(tmp_path):
@@ -99,7 +101,7 @@ def test_given_a_sampler_that_chose_all_scenes_then_there_is_no_rate_and_it_is_s
     assert found['rho']['quantiles'] == []
     assert content['systems'][0]['claim']['verdict'] == 'undetermined'
     assert 'no-rate' in limits(content)
-    goal = next(one for one in the_goals(content) if 'How often' in one['text'])
+    goal = the_goal(content, 'How often')
     assert goal['undeveloped']
     assert 'sampler random' in goal['why']
 
@@ -158,11 +160,11 @@ def test_given_campaigns_that_differ_then_they_are_kept_apart(tmp_path, other):
     assert [formula(content, at)['satisfied']['drawn'] for at in (0, 1)] == [3, 4]
     assert [formula(content, at)['satisfied']['drawn_hits'] for at in (0, 1)] == [3, 0]
     assert 'several-systems' in limits(content)
-    assert sum('satisfies phi in' in one['text'] for one in the_goals(content)) == 2
+    assert sum('satisfies phi in' in one['text'] for one in goals(content['argument'])) == 2
 
 
 def test_given_everything_then_each_item_has_a_hash_or_the_reason_why_not(tmp_path):
-    content = collected(planted(tmp_path / 'a', [PASS, FAIL]))
+    content = collected(planted(tmp_path / 'a', [PASS, FAIL]), claim=0.9999999)
     items = content['items']
     kinds = {one['kind'] for one in items.values()}
     assert kinds >= {
@@ -175,8 +177,13 @@ def test_given_everything_then_each_item_has_a_hash_or_the_reason_why_not(tmp_pa
     assert items['system-1/network']['sha256'] == SHA['original']
     assert items['system-1/data-1']['name'] == 'program training_original'
     assert items['requirement']['sha256'] is None
-    assert {'no-requirement', 'no-claim', 'no-odd', 'no-localisation', 'no-bags',
-            'renderer', 'network-origin', 'not-audited', 'distribution'} <= limits(content)
+    assert {'no-requirement', 'no-odd', 'no-localisation', 'no-bags', 'renderer', 'network-origin',
+            'not-audited', 'distribution'} <= limits(content)
+    assert 'no-claim' not in limits(content)
+    assert the_goal(content, 'at least 99.99999 %'), 'it is not rounded to 100 %'
+    records = the_goal(content, 'Every figure rests on')
+    assert (records['verdict'], 'bags of 0 of 2 judged runs' in records['why']) == (
+        'undetermined', True)
 
 
 @pytest.mark.parametrize(('perception', 'sha256', 'why'), [
@@ -193,8 +200,7 @@ def test_given_a_network_of_unknown_training_then_that_is_a_limit_and_a_goal_lef
     item = content['items']['system-1/data']
     assert item['sha256'] is None
     assert why in item['why_unknown']
-    goal = next(one for one in the_goals(content) if 'training data' in one['text'])
-    assert goal['undeveloped']
+    assert the_goal(content, 'training data')['undeveloped']
 
 
 def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
@@ -208,15 +214,11 @@ def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
     assert (pairs['covered'], pairs['feasible']) == (2, 4)
     assert {'odd-cells', 'odd-pairs'} <= limits(content)
     assert 'no-odd' not in limits(content)
-    goal = next(one for one in the_goals(content) if 'ODD two' in one['text'])
-    assert goal['verdict'] == 'undetermined'  # what happens in a gap is not known
+    # What happens in a gap is not known.
+    assert the_goal(content, 'every feasible pair')['verdict'] == 'undetermined'
 
 
 # Monitors ----------------------------------------------------------------------------------------
-
-
-def monitor_goal(content):
-    return next(one for one in the_goals(content) if 'run-time monitor' in one['text'])
 
 
 def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tmp_path):
@@ -233,7 +235,7 @@ def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tm
     for name in names:
         item = content['items'][f'monitor-1/{name}']
         assert item['sha256'] == hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    goal = monitor_goal(content)
+    goal = the_goal(content, 'run-time monitor')
     assert (goal['verdict'], goal['undeveloped']) == ('supported', False)
     assert goal['why'] == (
         'of 2 failed runs 1 with an alarm in time, of 1 satisfied ones 0 with an alarm')
@@ -242,7 +244,7 @@ def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tm
     assert 's_falsif only, not by a hash, which is not that of these campaigns (planted)' in limit
     assert 'no-monitor' not in limits(content)
     without = collected(campaign)
-    assert monitor_goal(without)['why'] == 'no monitor was judged'
+    assert the_goal(without, 'run-time monitor')['why'] == 'no monitor was judged'
     assert 'no-monitor' in limits(without)
     with pytest.raises(UsageError, match='two are the same judgement'):
         collected(campaign, monitors=(folder, folder))
@@ -302,15 +304,6 @@ def test_given_campaigns_of_two_networks_then_the_monitor_is_that_of_one(tmp_pat
 # Refused -----------------------------------------------------------------------------------------
 
 
-def test_given_a_table_alone_then_it_is_refused_with_what_is_missing(tmp_path):
-    folder = planted(tmp_path / 'a', [PASS])
-    shutil.copy(folder / 'runs.parquet', tmp_path / 'mine.parquet')
-    with pytest.raises(UsageError, match=r'mine\.parquet: a table alone is no evidence: without '
-                       r'campaign\.json and ledger\.jsonl'):
-        collected(tmp_path / 'mine.parquet')
-    assert collected(folder / 'runs.parquet')['campaigns'][0]['name'] == 'a'
-
-
 def damage(path, old, new):
     data = path.read_bytes()
     assert old in data
@@ -336,15 +329,22 @@ def test_given_a_damaged_campaign_then_it_is_refused_by_name(tmp_path, spoil, wo
         collected(folder)
 
 
-def test_given_an_unfinished_campaign_then_it_is_refused_by_name(tmp_path):
-    folder = planted(tmp_path / 'a', [PASS], finished=False)
-    with pytest.raises(UsageError, match='has not ended in order'):
-        collected(folder)
+@pytest.mark.parametrize(('facts', 'words'), [
+    ({'finished': False}, 'has not ended in order'),
+    ({'program_text': None}, 'its record lacks program_text'),
+    ({'perception_sha256': 'a' * 64}, 'several networks'),
+])
+def test_given_a_campaign_that_cannot_be_bound_then_it_is_refused_by_name(tmp_path, facts, words):
+    with pytest.raises(UsageError, match=f'a: .*{words}'):
+        collected(planted(tmp_path / 'a', [PASS], **facts))
 
 
-def test_given_a_campaign_that_does_not_say_what_it_ran_then_it_is_refused(tmp_path):
-    with pytest.raises(UsageError, match='its record lacks program_text'):
-        collected(planted(tmp_path / 'a', [PASS], program_text=None))
+def test_given_a_table_alone_or_results_of_others_then_they_are_refused_by_name(tmp_path):
+    folder = planted(tmp_path / 'a', [FAIL], perception='taxinet')
+    with pytest.raises(UsageError, match=r'runs\.parquet: not a campaign'):
+        collected(folder / 'runs.parquet')
+    with pytest.raises(UsageError, match='a: no results of taxinet localize'):
+        collected(folder, localisations=(folder,))
 
 
 def test_given_a_campaign_twice_or_its_copy_then_it_is_refused(tmp_path):
@@ -367,34 +367,10 @@ def test_given_a_wrong_option_then_it_is_refused_by_name(tmp_path, options, word
 
 
 def test_given_no_judged_run_then_nothing_is_said_to_be_supported_by_runs(tmp_path):
-    content = collected(planted(tmp_path / 'a', [INFRA, INFRA]), claim=0.5)
-    verdicts = {one['text']: one['verdict'] for one in the_goals(content)}
-    assert verdicts['There is no failed run to attribute'] == 'undetermined'
-    assert verdicts['Every figure rests on recorded runs that are bound by hash'] == 'undetermined'
-
-
-def test_given_runs_without_bags_then_bags_are_not_said_to_be_checked(tmp_path):
-    content = collected(planted(tmp_path / 'a', [PASS, FAIL]))
-    [why] = [one['why'] for one in the_goals(content) if 'tables' in one['why']]
-    assert 'bags of 0 of 2 judged runs' in why
-
-
-def test_given_a_claim_near_100_percent_then_it_is_not_rounded_to_it(tmp_path):
-    content = collected(planted(tmp_path / 'a', [PASS, FAIL]), claim=0.9999999)
-    texts = [one['text'] for one in the_goals(content)]
-    assert any('at least 99.99999 %' in text for text in texts)
-
-
-def test_given_another_network_than_that_of_the_runs_then_it_is_refused(tmp_path):
-    folder = planted(tmp_path / 'a', [PASS], perception_sha256='a' * 64)
-    with pytest.raises(UsageError, match='several networks'):
-        collected(folder)
-
-
-def test_given_results_of_others_then_they_are_refused_by_name(tmp_path):
-    folder = planted(tmp_path / 'a', [FAIL], perception='taxinet')
-    with pytest.raises(UsageError, match='a: no results of taxinet localize'):
-        collected(folder, localisations=(folder,))
+    content = collected(planted(tmp_path / 'a', [INFRA, INFRA]))
+    for words in ('There is no failed run', 'Every figure rests on recorded runs'):
+        assert the_goal(content, words)['verdict'] == 'undetermined'
+    assert 'no-claim' in limits(content)
 
 
 def test_given_shares_as_people_write_them_then_they_are_read():
@@ -427,7 +403,7 @@ def test_given_a_campaign_of_run_then_the_hash_of_its_network_is_that_of_its_run
 
 
 def test_people9_given_a_requirement_without_an_identifier_then_no_campaign_is_read_before(
-    tmp_path,
+    tmp_path
 ):
     with pytest.raises(UsageError, match='requirement stay on the line: expected an identifier'):
-        collected(tmp_path / 'absent', requirement='stay on the line')
+        tx.evidence(tmp_path / 'absent', tmp_path / 'out', requirement='stay on the line')

@@ -59,8 +59,8 @@ def renderer(peer: FlightGearPeer) -> ChosenRenderer:
 
 @pytest.mark.parametrize(('mount', 'heading_rad'), [('wing', 0.3), ('strut', 0.0), ('tail', -0.4)])
 def test_given_a_pose_when_photographed_then_lines_are_where_the_camera_model_projects_them(
-    mount: str, heading_rad: float, renderer: ChosenRenderer
-) -> None:
+    mount, heading_rad, renderer
+):
     scene = dataclasses.replace(SCENE, camera=mount, heading_rad=heading_rad)
     state = Aircraft(scene).state
     image = renderer.make(scene).render(state, 0)
@@ -82,8 +82,8 @@ def test_given_a_pose_when_photographed_then_lines_are_where_the_camera_model_pr
 
 
 def test_given_a_moving_aircraft_when_photographed_then_each_frame_shows_its_own_state(
-    peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+    peer, renderer
+):
     world = find_world('kmwh+flightgear').make(SCENE)
     image = world.observe().image
     assert image is not None
@@ -94,15 +94,11 @@ def test_given_a_moving_aircraft_when_photographed_then_each_frame_shows_its_own
     assert np.array_equal(camera.render(Aircraft(SCENE).state, 0), image)
 
 
-def test_given_the_stand_in_when_the_contract_is_checked_then_it_is_kept(
-    peer: FlightGearPeer,
-) -> None:
+def test_given_the_stand_in_when_the_contract_is_checked_then_it_is_kept(peer):
     check_camera('flightgear', SCENE)
 
 
-def test_given_weather_when_photographed_then_it_has_been_set_and_read_back(
-    peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+def test_given_weather_when_photographed_then_it_has_been_set_and_read_back(peer, renderer):
     rainy = dataclasses.replace(
         SCENE, clouds='stratus', rain_fraction=0.5, date='2020-06-21', time_of_day_s=9.5 * 3600
     )
@@ -127,17 +123,15 @@ def test_given_weather_when_photographed_then_it_has_been_set_and_read_back(
     ('/taxinet/request', 'it does not take up what was set'),
 ])
 def test_given_a_property_that_does_not_take_effect_when_photographed_then_the_line_names_it(
-    path: str, said: str, peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+    path, said, peer, renderer
+):
     peer.stuck.add(path)
     camera = renderer.make(SCENE)
     with pytest.raises(InfraError, match=f'^sim: .*step 3.*{said}'):
         camera.render(Aircraft(SCENE).state, 300_000_000)
 
 
-def test_given_a_sun_elsewhere_when_photographed_then_the_line_names_both(
-    peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+def test_given_a_sun_elsewhere_when_photographed_then_the_line_names_both(peer, renderer):
     peer.properties['/sun'] = weather_of(SCENE).sun_angle_rad + math.radians(5)
     camera = renderer.make(SCENE)
     with pytest.raises(InfraError, match=r'its sun is \d+\.\d degrees from the zenith, ours'):
@@ -169,7 +163,7 @@ PICTURE, TOLD = '/screenshot', '/json/taxinet'
         'frozen', 'flicker', 'resized'])
 def test_given_a_failure_during_a_run_when_photographed_then_one_line_names_its_kind(
     change: dict[str, Any], said: str, peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+):
     state, camera = Aircraft(SCENE).state, renderer.make(SCENE)
     for name, value in change.items():
         setattr(peer, name, value)
@@ -182,8 +176,8 @@ def test_given_a_failure_during_a_run_when_photographed_then_one_line_names_its_
 
 
 def test_given_somebody_who_sets_it_meanwhile_when_photographed_then_the_picture_is_refused(
-    peer: FlightGearPeer, renderer: ChosenRenderer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    peer, renderer, monkeypatch
+):
     camera = renderer.make(SCENE)
     draw = peer.picture
 
@@ -198,9 +192,7 @@ def test_given_somebody_who_sets_it_meanwhile_when_photographed_then_the_picture
         camera.render(Aircraft(SCENE).state, 0)
 
 
-def test_given_a_silent_peer_when_asked_then_it_is_a_timeout(
-    peer: FlightGearPeer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_a_silent_peer_when_asked_then_it_is_a_timeout(peer, monkeypatch):
     monkeypatch.setattr(client, '_ANSWER_S', 0.2)
     peer.silent_s = 0.5
     with pytest.raises(InfraError, match=r'^timeout: .* has not answered for 0.2 s'):
@@ -208,9 +200,7 @@ def test_given_a_silent_peer_when_asked_then_it_is_a_timeout(
     peer.silent_s = 0.0
 
 
-def test_given_nobody_when_asked_then_the_line_says_how_to_start_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_given_nobody_when_asked_then_the_line_says_how_to_start_it(monkeypatch):
     monkeypatch.setenv(client.ADDRESS, '127.0.0.1:1')
     found = find_renderer('flightgear')
     assert found is not None
@@ -229,8 +219,8 @@ def test_given_nobody_when_asked_then_the_line_says_how_to_start_it(
     ('/sim/sceneryloaded', False, r'^not_ready: .*still loading'),
 ])
 def test_given_another_flightgear_when_a_run_begins_then_the_line_says_which(
-    path: str, value: object, said: str, peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+    path, value, said, peer, renderer
+):
     peer.properties[path] = value
     with pytest.raises(InfraError, match=said):
         renderer.make(SCENE)
@@ -242,14 +232,14 @@ def test_given_another_flightgear_when_a_run_begins_then_the_line_says_which(
 ])
 def test_given_a_scene_that_it_does_not_show_when_a_run_begins_then_it_is_refused(
     change: dict[str, Any], said: str, peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+):
     with pytest.raises(UsageError, match=said):
         renderer.make(dataclasses.replace(SCENE, **change))
 
 
 def test_given_no_runway_or_terrain_when_a_run_begins_then_the_line_says_which(
-    peer: FlightGearPeer, renderer: ChosenRenderer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    peer, renderer, monkeypatch
+):
     monkeypatch.setattr(flightgear_camera, '_GROUNDS', {})
     peer.runways = False
     with pytest.raises(UsageError, match='it has no runway of BIKF; take a place that it has'):
@@ -259,9 +249,7 @@ def test_given_no_runway_or_terrain_when_a_run_begins_then_the_line_says_which(
         renderer.make(SCENE)
 
 
-def test_given_a_lens_too_sharp_for_the_window_when_a_run_begins_then_the_line_tells_a_size() -> (
-    None
-):
+def test_given_a_lens_too_sharp_for_the_window_when_a_run_begins_then_the_line_tells_a_size():
     wing = find_camera('wing')
     lens = lens_of(wing, 480, 288)
     assert 1.0 <= lens.focal_px / max(wing.focal_px) < 1.05
@@ -269,9 +257,7 @@ def test_given_a_lens_too_sharp_for_the_window_when_a_run_begins_then_the_line_t
         lens_of(wing, 240, 144)
 
 
-def test_given_two_runs_at_once_when_photographed_then_each_gets_its_own_pictures(
-    peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+def test_given_two_runs_at_once_when_photographed_then_each_gets_its_own_pictures(peer, renderer):
     states = [dataclasses.replace(Aircraft(SCENE).state, y_m=y_m) for y_m in (-5.0, 5.0)]
     alone = [renderer.make(SCENE).render(state, 0) for state in states]
     found: list[list[bool]] = [[], []]
@@ -294,8 +280,8 @@ def test_given_two_runs_at_once_when_photographed_then_each_gets_its_own_picture
 
 
 def test_given_level_ground_when_seen_from_above_then_the_eye_looks_down_and_north_is_up(
-    peer: FlightGearPeer, renderer: ChosenRenderer
-) -> None:
+    peer, renderer
+):
     camera = flightgear_camera.FlightGearCamera(SCENE)
     model = dataclasses.replace(
         SCENE.camera_model, offset_m=(0.0, 0.0, 60.0), roll_rad=0.0, pitch_rad=math.pi / 2,

@@ -6,7 +6,6 @@ import dataclasses
 import math
 import socket
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,13 +39,12 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('XDG_CACHE_HOME', str(tmp_path_factory.mktemp('cache')))
         patch.setenv(client.ADDRESS, f'127.0.0.1:{port}')
-        options = process.StartOptions(host='127.0.0.1', port=port)
-        with process.started(options) as started:
+        with process.started('127.0.0.1', port) as started:
             yield
             assert not started.dead
 
 
-def test_given_the_program_when_the_contract_is_checked_then_it_is_kept(running: None) -> None:
+def test_given_the_program_when_the_contract_is_checked_then_it_is_kept(running):
     check_camera('flightgear', NOON)
 
 
@@ -54,8 +52,8 @@ def test_given_the_program_when_the_contract_is_checked_then_it_is_kept(running:
     (-8.0, 0.0, 1), (10.0, 14.0, 0), (-12.0, -25.0, 1), (12.0, 25.0, 0),
 ])
 def test_given_a_pose_when_photographed_then_the_side_stripe_is_where_our_camera_projects_it(
-    y_m: float, heading_deg: float, stripe: int, running: None
-) -> None:
+    y_m, heading_deg, stripe, running
+):
     from taxinet_ros.core.camera.camera import project
 
     scene = dataclasses.replace(
@@ -82,8 +80,8 @@ def test_given_a_pose_when_photographed_then_the_side_stripe_is_where_our_camera
 
 @pytest.mark.parametrize('number', [0, 2, 4], ids=['wing', 'rolled', 'tail'])
 def test_given_a_pose_then_its_paint_is_where_our_camera_projects_what_is_seen_from_above(
-    number: int, running: None
-) -> None:
+    number, running
+):
     found = compare_scene(scenes({})[number])
     figures = found.markings.summary()
     assert (figures['measured'] or 0) > 200
@@ -91,7 +89,7 @@ def test_given_a_pose_then_its_paint_is_where_our_camera_projects_what_is_seen_f
     assert found.meets_aim
 
 
-def test_given_noon_and_morning_then_its_light_is_measured(running: None) -> None:
+def test_given_noon_and_morning_then_its_light_is_measured(running):
     curves = compare_light(light_scenes({})[1:6:4])
     for surface in ('pavement', 'paint', 'ground', 'sky'):
         ours, theirs = curves.relative(surface)
@@ -101,7 +99,7 @@ def test_given_noon_and_morning_then_its_light_is_measured(running: None) -> Non
     assert theirs.min() > 3 * ours.max(), 'its asphalt is nearly black beside its paint'
 
 
-def test_given_a_moving_eye_when_it_is_back_then_the_picture_is_the_first(running: None) -> None:
+def test_given_a_moving_eye_when_it_is_back_then_the_picture_is_the_first(running):
     camera, state = FlightGearCamera(NOON), Aircraft(NOON).state
     first = camera.render(state, 0)
     camera.render(dataclasses.replace(state, x_m=state.x_m + 400.0), 0)
@@ -110,16 +108,13 @@ def test_given_a_moving_eye_when_it_is_back_then_the_picture_is_the_first(runnin
     assert changed.mean() < 0.01
 
 
-def test_given_a_place_without_terrain_when_a_run_begins_then_it_is_refused(running: None) -> None:
+def test_given_a_place_without_terrain_when_a_run_begins_then_it_is_refused(running):
     with pytest.raises(UsageError, match='no terrain at kmwh_04'):
         FlightGearCamera(Scenario())
 
 
-def test_given_a_port_that_is_taken_when_started_then_the_line_names_it(
-    running: None, tmp_path: Path
-) -> None:
+def test_given_a_port_that_is_taken_when_started_then_the_line_names_it(running, tmp_path):
     host, port = client.flightgear_address()
-    options = process.StartOptions(host=host, port=port)
     with pytest.raises(UsageError, match=f'{port}: Address already in use; choose another'), \
-            process.started(options):
+            process.started(host, port):
         pass

@@ -17,7 +17,6 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.cli.main import main
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.forecast.conformal import Guarantee
 from taxinet_ros.extras.forecast.forecast import (
     FEATURES,
     Progress,
@@ -91,37 +90,31 @@ def test_given_a_campaign_then_both_outcomes_are_in_it(forecast, others):
     assert others.features.shape == (20, 7, len(FEATURES))
 
 
-@pytest.mark.parametrize('guarantee', Guarantee)
-def test_given_new_runs_then_bounds_hold_about_as_often_as_promised(forecast, others, guarantee):
-    found = coverage(forecast, others, 0.9, guarantee)
+def test_given_new_runs_then_bounds_hold_about_as_often_as_promised_and_never_fall(
+    forecast, others
+):
+    found = coverage(forecast, others, 0.9)
     # 20 runs and one calibration of 20: below 70 % is rare.
     assert found.held.rate >= 0.7
-    bounds = bounds_at_moments(forecast, others, 0.9, guarantee)
+    bounds = bounds_at_moments(forecast, others, 0.9)
     assert (bounds <= others.certain[..., 1]).all()
     # It knows something: at the last moment all, before it more than the monitor.
     assert (bounds[:, -1] == others.outcomes).all()
     assert np.median(bounds[:, -2] - others.certain[:, -2, 0]) > 0.1
-
-
-def test_given_a_whole_run_then_its_bound_never_falls(forecast, others):
-    bounds = bounds_at_moments(forecast, others, 0.9, Guarantee.RUN)
     falls = np.diff(np.minimum(bounds, others.certain[..., 1].min(axis=1)[:, None]), axis=1)
     assert (falls >= 0).all()
 
 
-@pytest.mark.parametrize('guarantee', ['run', 'step'])
-def test_given_a_run_watched_live_then_its_bounds_are_those_of_its_bag(
-    folders, forecast, others, guarantee
-):
+def test_given_a_run_watched_live_then_its_bounds_are_those_of_its_bag(folders, forecast, others):
     row = others.rows[3]
     recording = open_recording(folders / 'other' / row.run_id)
-    live = forecast.watch(confidence=0.9, guarantee=guarantee)
+    live = forecast.watch(confidence=0.9)
     watched = [live.update(**one._asdict()) for one in samples_of(recording, 'near')]
-    assert watched == forecast.bounds_of(recording, confidence=0.9, guarantee=guarantee)
+    assert watched == forecast.bounds_of(recording, confidence=0.9)
     assert len(watched) == 31
-    all_at_once = bounds_at_moments(forecast, others, 0.9, Guarantee(guarantee))[3]
+    all_at_once = bounds_at_moments(forecast, others, 0.9)[3]
     assert [one.lower for one in watched[::5]] == all_at_once.tolist()
-    half = forecast.bounds_of(recording, confidence=0.9, guarantee=guarantee, until_s=1.5)
+    half = forecast.bounds_of(recording, confidence=0.9, until_s=1.5)
     assert half == watched[:16]
     with pytest.raises(UsageError, match='after the end of the runs calibrated on, 3 s'):
         live.update(**sample()._asdict())
@@ -135,8 +128,8 @@ def test_given_a_file_then_it_is_the_same_forecast_and_damage_is_named(
     again = tx.load_forecast(path)
     assert again.population == forecast.population
     assert (
-        bounds_at_moments(again, others, 0.9, Guarantee.RUN)
-        == bounds_at_moments(forecast, others, 0.9, Guarantee.RUN)
+        bounds_at_moments(again, others, 0.9)
+        == bounds_at_moments(forecast, others, 0.9)
     ).all()
     path.write_bytes(path.read_bytes().replace(b'"near"', b'"nEar"', 1))
     with pytest.raises(UsageError, match='damaged or edited'):
@@ -232,17 +225,17 @@ def test_given_the_commands_then_they_say_what_holds_and_draw_it(
     code, said, _ = taxinet('forecast', 'check', made, folders / 'other')
     assert code == 0
     assert '20 runs, ' in said
-    assert said.count('whole run') >= 2
+    assert '90 %' in said
+    assert '95 %' in said
     code, said, _ = taxinet('forecast', 'check', made, folders / 'cal', '--json')
     assert code == 3
     assert json.loads(said)['outside'][0].startswith('40 of these runs were calibrated on')
     bags = sorted((folders / 'other').glob('starts-*'))[:2]
     plot = tmp_path / 'band.png'
-    code, said, _ = taxinet(
-        'forecast', 'show', made, *bags, '--at', 2.2, '--plot', plot, '--guarantee', 'step')
+    code, said, _ = taxinet('forecast', 'show', made, *bags, '--at', 2.2, '--plot', plot)
     assert code == 0
     assert said.count('near will be at least') == 2
-    assert '(90 %, at this moment alone)' in said
+    assert '(90 %, at all moments of the run)' in said
     assert plot.stat().st_size > 1000
     code, _, complaint = taxinet('forecast', 'show', made, bags[0], '--at', 31)
     assert (code, complaint) == (2, 'taxinet: error: --at 31: needs to be within 0..3 s\n')

@@ -12,11 +12,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.forecast.conformal import (
-    Guarantee,
-    fit,
-    least_calibration_runs,
-)
+from taxinet_ros.extras.forecast.conformal import fit, least_calibration_runs
 
 MOMENTS = 6
 
@@ -32,34 +28,30 @@ def runs(random: np.random.Generator, number: int) -> tuple[np.ndarray, np.ndarr
     return np.stack([path, noise], axis=2), outcomes
 
 
-def covered(seed: int, confidence: float, number: int) -> tuple[np.ndarray, float]:
-    """Share of new runs that each moment's bound covers, (T,), and all bounds at once."""
+def covered(seed: int, confidence: float, number: int) -> float:
+    """Share of new runs that are covered at all moments."""
     random = np.random.default_rng(seed)
     model = fit(*runs(random, number))
     features, outcomes = runs(random, 100)
-    step, whole = (model.margin(confidence, one) for one in (Guarantee.STEP, Guarantee.RUN))
+    margin = model.margin(confidence)
     held = [
-        [model.bounds(features[:, moment], moment, margin) <= outcomes for moment in range(MOMENTS)]
-        for margin in (step, whole)
+        model.bounds(features[:, moment], moment, margin) <= outcomes for moment in range(MOMENTS)
     ]
-    return np.mean(held[0], axis=1), float(np.all(held[1], axis=0).mean())
+    return float(np.all(held, axis=0).mean())
 
 
 @pytest.mark.parametrize(('confidence', 'number'), [(0.9, 60), (0.95, 100)])
 def test_given_150_calibrations_then_new_runs_are_covered_as_often_as_the_ranks_say(
     confidence, number
 ):
-    found = [covered(seed, confidence, number) for seed in range(150)]
+    shares = np.array([covered(seed, confidence, number) for seed in range(150)])
     calibration = number // 2
     # The exact probability for continuous outcomes: rank / (n + 1).
     exact = math.ceil((calibration + 1) * confidence) / (calibration + 1)
     assert exact >= confidence
-    steps = np.array([step for step, _ in found])
-    whole = np.array([all_at_once for _, all_at_once in found])
-    for shares in (*steps.T, whole):
-        error = shares.std() / math.sqrt(len(shares))
-        assert 0.001 < error < 0.01  # it differs between calibrations, and has been measured
-        assert abs(shares.mean() - exact) < 3.5 * error
+    error = shares.std() / math.sqrt(len(shares))
+    assert 0.001 < error < 0.01  # it differs between calibrations, and has been measured
+    assert abs(shares.mean() - exact) < 3.5 * error
 
 
 def test_given_other_runs_than_calibrated_then_the_coverage_is_lost():
@@ -67,35 +59,32 @@ def test_given_other_runs_than_calibrated_then_the_coverage_is_lost():
     random = np.random.default_rng(1)
     model = fit(*runs(random, 400))
     features, outcomes = runs(random, 400)
-    margin = model.margin(0.9, Guarantee.STEP)
-    worse = outcomes - 3.0
-    shares = [
-        np.mean(model.bounds(features[:, moment], moment, margin) <= worse)
+    margin = model.margin(0.9)
+    held = [
+        model.bounds(features[:, moment], moment, margin) <= outcomes - 3.0
         for moment in range(MOMENTS)
     ]
-    assert max(shares) < 0.8
-    assert np.mean(shares) < 0.5
+    assert np.all(held, axis=0).mean() < 0.5
 
 
-def test_given_bounds_for_the_whole_run_then_they_are_lower_than_for_one_moment():
+def test_given_more_of_a_run_or_less_confidence_then_the_band_is_narrower():
     random = np.random.default_rng(2)
     model = fit(*runs(random, 400))
-    for confidence in (0.8, 0.9, 0.95):
-        step, whole = (model.margin(confidence, one) for one in Guarantee)
-        assert (whole >= step).all()
-        assert whole.sum() > step.sum()
+    margins = [model.margin(confidence) for confidence in (0.8, 0.9, 0.95)]
+    assert margins == sorted(margins)
+    assert margins[0] < margins[2]
     features, outcomes = runs(random, 200)
     late, early = (
-        outcomes - model.bounds(features[:, moment], moment, model.margin(0.9, Guarantee.STEP))
+        outcomes - model.bounds(features[:, moment], moment, margins[1])
         for moment in (MOMENTS - 1, 0)
     )
-    assert np.median(late) < 0.3 * np.median(early)  # the band narrows
+    assert np.median(late) < 0.3 * np.median(early)
 
 
 def test_given_hopelessly_low_bounds_then_they_are_minus_infinity():
     random = np.random.default_rng(3)
     model = fit(*runs(random, 100))
-    margin = model.margin(0.9, Guarantee.STEP) + 1000
+    margin = model.margin(0.9) + 1000
     features, _ = runs(random, 3)
     assert (model.bounds(features[:, 0], 0, margin) == -np.inf).all()
 
@@ -106,6 +95,6 @@ def test_given_too_few_runs_then_it_says_how_many():
     with pytest.raises(UsageError, match='39 runs are too few'):
         fit(*runs(random, 39))
     with pytest.raises(UsageError, match='needs at least 99 calibration runs, not 20'):
-        fit(*runs(random, 40)).margin(0.99, Guarantee.STEP)
+        fit(*runs(random, 40)).margin(0.99)
     with pytest.raises(UsageError, match=r'within 0\.5\.\.1'):
-        fit(*runs(random, 40)).margin(1.0, Guarantee.STEP)
+        fit(*runs(random, 40)).margin(1.0)

@@ -210,8 +210,8 @@ def test_given_repeat_and_no_header_then_stretches_follow_one_another_by_the_clo
     value = robot.node.create_publisher(Float64, 'level', 10)
     verdicts = robot.hear(Verdict, 'monitor/verdict')
     robot.monitor(
-        signals=['x=level:data'], specs=['low=always(x < 2)'], horizon=0.2, period=0.05,
-        max_age=0.0, repeat=True,
+        signals=['x=level:data'], specs=['low=always(x < 2)'], horizon=0.2, max_age=0.0,
+        repeat=True,
     )
     robot.until(value.get_subscription_count)
     robot.until(
@@ -220,7 +220,7 @@ def test_given_repeat_and_no_header_then_stretches_follow_one_another_by_the_clo
     ended = [verdict for verdict in verdicts if verdict.complete][:2]
     assert [verdict.run_id for verdict in ended] == ['stretch-1', 'stretch-2']
     assert [verdict.specs[0].rho_lower for verdict in ended] == [1.0, 1.0]
-    assert [verdict.specs[0].samples for verdict in ended] == [5, 5]
+    assert all(verdict.specs[0].samples >= 2 for verdict in ended)
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,6 @@ def test_given_a_field_that_cannot_be_judged_then_the_node_ends_and_says_why(rob
         ({'signals': ['cte[m]=/a:x'], 'specs': ['a=cte < 1 deg']}, 'expected a length'),
         ({'signals': ODOM, 'specs': [NEAR, NEAR]}, 'near is given twice'),
         ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'y'}, 'known: cte, speed'),
-        ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'cte', 'period': 1.0}, 'only one'),
         ({'signals': ODOM, 'specs': [NEAR], 'repeat': True}, 'needs a horizon'),
         ({'signals': ODOM, 'specs': [NEAR], 'bounds': ['he=0:1']}, "bounds: 'he=0:1': unknown"),
         (

@@ -72,6 +72,7 @@ def test_given_a_run_that_breaks_then_its_candidate_cannot_win():
     assert [one.worst for one in found.candidates] == [0.1, None, 0.2]
     assert found.candidates[1].detail == 'broken'
     assert found.best is found.candidates[2]
+    assert race({0: [1.0, 1.0], 1: [0.5, 2.0]})[1] == 3, 'the second cannot win after its first'
 
 
 def test_given_a_known_optimum_then_the_proposals_find_it():

@@ -292,8 +292,6 @@ class FakeXPlane:
             told = [self.values[position + name] for name in
                     ('latitude', 'longitude', 'elevation', 'theta', 'phi', 'true_psi')]
             yield struct.pack('<4sxBdddffff', b'POSI', 1, *told, 1.0)
-        elif tag == b'POSI':
-            self._place(struct.unpack('<4sxBdddffff', packet)[2:8])
         elif tag == b'COMM':
             self.commands.append(body[1:1 + body[0]].decode())
 
@@ -306,16 +304,6 @@ class FakeXPlane:
             row = [*value] if isinstance(value, list | bytes) else [value]
             reply += struct.pack(f'<B{len(row)}f', len(row), *row)
         return reply
-
-    def _place(self, there: tuple[float, ...]) -> None:
-        latitude, longitude, height, theta, phi, true = there
-        east, north, up = pymap3d.geodetic2enu(latitude, longitude, height, *REF, 0.0)
-        bend = (longitude - REF[1]) * math.sin(math.radians(latitude))
-        for name, value in (
-            ('local_x', float(east)), ('local_y', float(up)), ('local_z', -float(north)),
-            ('theta', theta), ('phi', phi), ('psi', (true - bend) % 360),
-        ):
-            self.set(f'sim/flightmodel/position/{name}', value)
 
 
 class _Handler(BaseHTTPRequestHandler):

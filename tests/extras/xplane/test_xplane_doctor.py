@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,15 +17,16 @@ import typer
 from fake_xplane import FakeScreen, FakeXPlane, setup_of
 
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.extras.xplane.camera import Display
 from taxinet_ros.extras.xplane.commands import xplane_doctor
-from taxinet_ros.extras.xplane.doctor import Doctor, Finding
-from taxinet_ros.extras.xplane.screen import Display
+from taxinet_ros.extras.xplane.doctor import Finding, findings
 
+REGION = 'sim/weather/region/'
 ALL = ('answer', 'values', 'pause', 'start', 'view', 'pictures', 'driving')
 
 
 def examine(sim: FakeXPlane, **more: object) -> dict[str, Finding]:
-    found = list(Doctor(setup_of(sim, **more), open_screen=lambda *_: FakeScreen(sim)).findings())
+    found = list(findings(setup_of(sim, **more), lambda *_: FakeScreen(sim)))
     assert [one.name for one in found] == list(ALL)
     return {one.name: one for one in found}
 
@@ -41,26 +43,27 @@ def test_all_is_well(sim, wire):
     assert sim.values['sim/operation/override/override_planepath'][0] == 0
 
 
-def test_what_fails_first_ends_what_builds_on_it(sim):
-    found = examine(sim, aircraft='Boeing')
-    assert found['answer'].fine is False
-    assert found['values'].words == found['driving'].words == 'not checked'
+def deaf(sim: FakeXPlane) -> None:
+    plain = sim.set
+    sim.set = lambda name, *more: None if 'tire_steer' in name else plain(name, *more)
+
+
+@pytest.mark.parametrize(('check', 'spoil', 'words'), [
+    ('answer', lambda sim: sim.values.update({'sim/aircraft/view/acf_ui_name': b'Boeing'}),
+     "the aircraft is 'Boeing'"),
+    ('values', lambda sim: sim.values.pop(REGION + 'runway_friction'),
+     f'1 of 20 cannot be written: web API .* {REGION}runway_friction'),
+    ('pictures', lambda sim: setattr(sim, 'frozen_screen', True), 'without a move'),
+    ('driving', deaf, 'does the nose wheel obey'),
+])
+def test_what_fails_first_is_named_and_ends_what_builds_on_it(sim, check, spoil, words):
+    spoil(sim)
+    found = examine(sim, aircraft='208B')
+    at = ALL.index(check)
+    assert [one.fine for one in found.values()] == [True] * at + [False] + [None] * (6 - at)
+    assert re.search(words, found[check].words), found[check].words
+    assert all(found[later].words == 'not checked' for later in ALL[at + 1:])
     assert sim.values['sim/time/sim_speed'] == 1
-
-
-def test_a_missing_dataref_is_named(sim):
-    del sim.values['sim/weather/region/runway_friction']
-    found = examine(sim)['values']
-    assert found.fine is False
-    assert '1 of' in found.words
-    assert 'sim/weather/region/runway_friction' in found.words
-
-
-def test_a_window_that_shows_something_else(sim):
-    sim.frozen_screen = True
-    found = examine(sim)['pictures']
-    assert found.fine is False
-    assert 'without a move' in found.words
 
 
 def test_late_pictures_are_told(sim):
@@ -73,14 +76,6 @@ def test_late_pictures_are_told(sim):
 
     sim.frame = late
     assert '; set frames to' in examine(sim)['pictures'].words
-
-
-def test_a_nose_wheel_that_does_not_obey(sim):
-    plain = sim.set
-    sim.set = lambda name, *more: None if 'tire_steer' in name else plain(name, *more)
-    found = examine(sim)['driving']
-    assert found.fine is False
-    assert 'does the nose wheel obey' in found.words
 
 
 def test_the_command(sim, tmp_path, capsys, monkeypatch):
@@ -164,17 +159,9 @@ def test_a_region_of_a_display_is_red_green_blue(display):
         assert (picture == wanted).all()
     screen.close()
     painter.close()
-
-
-@needs_x
-def test_without_a_region_it_is_the_first_monitor(display):
-    screen = Display(display, None)
-    assert screen.grab().shape == (480, 640, 3)
-    screen.close()
-
-
-@needs_x
-def test_a_region_beyond_the_display(display):
+    whole = Display(display, None)  # the first monitor
+    assert whole.grab().shape == (480, 640, 3)
+    whole.close()
     with pytest.raises(UsageError, match='region_px 400, 0, 320, 200 is not within the 640 x 480'):
         Display(display, (400, 0, 320, 200))
 

@@ -44,7 +44,6 @@ NASA = """
 import xpc
 with xpc.XPlaneConnect('127.0.0.1', {connect_port}, timeout=20000) as api:
     api.sendDREF('sim/weather/region/rain_percent', 0.5)
-    api.sendPOSI([47.2, -119.33, 365.5, 1.0, -2.0, 54.0, 1.0])
     rain = api.getDREF('sim/weather/region/rain_percent')
     arrays = api.getDREFs(
         ['sim/weather/region/cloud_type', 'sim/weather/region/variability_pct', 'sim/no/such']
@@ -83,5 +82,7 @@ def test_the_client_of_nasa(sim):
     rain, arrays, position = say(sim, NASA, sys.executable, PYTHONPATH=XPC)
     assert rain == [0.5]
     assert arrays == [[0.0, 0.0, 0.0], [0.0], []]
-    assert position[:2] == pytest.approx([47.2, -119.33], abs=1e-9)
-    assert position[2:] == pytest.approx([365.5, 1.0, -2.0, 54.0, 1.0], abs=1e-3)
+    there = [sim.values[f'sim/flightmodel/position/{name}'] for name in
+             ('latitude', 'longitude', 'elevation', 'theta', 'phi', 'true_psi')]
+    assert position[:2] == pytest.approx(there[:2], abs=1e-9)
+    assert position[2:] == pytest.approx([*there[2:], 1.0], abs=1e-3)

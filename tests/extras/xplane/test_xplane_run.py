@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,14 @@ from taxinet_ros.core.rig.catalogue import find_camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import close_world, find_world
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.extras.xplane import camera as camera_module
-from taxinet_ros.extras.xplane import world as world_module
-from taxinet_ros.extras.xplane.camera import ViewFromXPlane, XPlaneCamera
-from taxinet_ros.extras.xplane.screen import check_picture, developed, field_of_view_deg
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.extras.xplane.camera import (
+    ViewFromXPlane,
+    XPlaneCamera,
+    check_picture,
+    developed,
+    field_of_view_deg,
+)
 from taxinet_ros.extras.xplane.setup import XPlaneSetup, chosen_setup, read_setup
 from taxinet_ros.extras.xplane.simulator import XPlane, pose_of
 from taxinet_ros.extras.xplane.sky import time_settings, weather_settings, zulu
@@ -62,11 +66,11 @@ def test_the_aircraft_is_where_the_state_is(sim, wire):
     wanted = pose_of(SCENE, state)
     value = {name: sim.values[POSITION + name] for name in
              ('latitude', 'longitude', 'y_agl', 'true_psi', 'theta', 'phi')}
-    north_m = (value['latitude'] - wanted.position.latitude_deg) * 111_132
-    east_m = (value['longitude'] - wanted.position.longitude_deg) * 75_500
+    north_m = (value['latitude'] - wanted.latitude_deg) * 111_132
+    east_m = (value['longitude'] - wanted.longitude_deg) * 75_500
     assert math.hypot(north_m, east_m) < 0.02
     assert value['y_agl'] == pytest.approx(state.z_m, abs=0.02)
-    assert value['true_psi'] == pytest.approx(wanted.position.heading_deg, abs=0.05)
+    assert value['true_psi'] == pytest.approx(wanted.heading_deg, abs=0.05)
     assert value['theta'] == pytest.approx(-math.degrees(state.pitch_rad), abs=0.05)
     assert value['phi'] == pytest.approx(math.degrees(state.roll_rad), abs=0.05)
     assert sim.values['sim/time/paused'] == 1
@@ -76,8 +80,7 @@ def test_the_aircraft_is_where_the_state_is(sim, wire):
 def test_a_state_goes_to_x_plane_and_back():
     state = dataclasses.replace(Aircraft(SCENE).state, speed_mps=4.0, yaw_rate_radps=0.1)
     back = pose_of(SCENE, state).state(SCENE, 4.0, -math.degrees(0.1))
-    for field in dataclasses.fields(state):
-        assert getattr(back, field.name) == pytest.approx(getattr(state, field.name), abs=1e-6)
+    assert dataclasses.astuple(back) == pytest.approx(dataclasses.astuple(state), abs=1e-6)
 
 
 def test_time_and_weather_of_x_plane_12(sim):
@@ -131,12 +134,6 @@ def test_the_view_is_where_the_camera_is_mounted(sim):
     assert sim.commands[-1] == 'sim/view/forward_with_nothing'
 
 
-def test_a_view_that_is_elsewhere(sim):
-    sim.view_off = 0.0, 0.3, 0.0
-    with pytest.raises(InfraError, match=r'sim: x-plane: the view is 0.30 m and 0.0 deg from wher'):
-        camera(sim)
-
-
 def test_pictures_have_the_camera_s_shape_and_follow_the_aircraft(sim):
     made, state = camera(sim), Aircraft(SCENE).state
     first = made.render(state, 0)
@@ -154,61 +151,47 @@ def test_afterwards_x_plane_runs_on(sim):
     assert sim.values[HELD][0] == 0
 
 
-def test_a_screen_that_stays_the_same_is_no_new_frame(sim):
-    made, state = camera(sim), Aircraft(SCENE).state
-    made.render(state, 0)
-    sim.frozen_screen = True
-    with pytest.raises(InfraError, match='timeout: x-plane: its picture stayed the same') as error:
-        made.render(dataclasses.replace(state, x_m=state.x_m + 1.0), 100_000_000)
-    assert error.value.kind == InfraKind.TIMEOUT
-
-
-def test_another_resolution(sim):
-    made = camera(sim)
-    sim.size = 640, 480
-    with pytest.raises(InfraError, match=r'sim: x-plane: the picture has 640 x 480 pixels, the wi'):
-        made.render(Aircraft(SCENE).state, 0)
-
-
 def test_a_covered_window():
     with pytest.raises(InfraError, match='sim: x-plane: the picture has one colour'):
         check_picture(np.full((720, 1280, 3), 30, np.uint8), (1280, 720))
 
 
-def test_another_aircraft(sim):
-    camera(sim, aircraft='208B').close()
-    sim.clients.clear()
-    with pytest.raises(InfraError, match="sim: x-plane: the aircraft is 'Cessna 208B Grand"):
-        camera(sim, aircraft='Cessna 172')
-
-
-def test_what_is_set_and_does_not_stay(sim):
-    sim.values[REGION + 'rain_percent'] = 0.9
+def deaf(sim: FakeXPlane, words: str) -> None:
+    """Nothing whose name has these words can be set."""
     plain = sim.set
-    sim.set = lambda name, *more: None if 'rain' in name else plain(name, *more)
-    with pytest.raises(InfraError, match=r'sim: x-plane: .*rain_percent is 0.9 after it was'):
-        camera(sim)
+    sim.set = lambda name, *more: None if words in name else plain(name, *more)
 
 
-def test_an_aircraft_that_does_not_obey(sim):
-    plain = sim.set
-    sim.set = lambda name, *more: None if 'local_x' in name else plain(name, *more)
-    with pytest.raises(InfraError, match=r'sim: x-plane: the aircraft stays .* m, .* another'):
-        camera(sim)
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (lambda sim: setattr(sim, 'view_off', (0.0, 0.3, 0.0)),
+     r'sim: x-plane: the view is 0.30 m and 0.0 deg from wher'),
+    (lambda sim: sim.values.update({'sim/aircraft/view/acf_ui_name': b'Cessna 172'}),
+     "sim: x-plane: the aircraft is 'Cessna 172', expected '208B'"),
+    (lambda sim: (sim.values.update({REGION + 'rain_percent': 0.9}), deaf(sim, 'rain')),
+     r'sim: x-plane: .*rain_percent is 0.9 after it was'),
+    (lambda sim: deaf(sim, 'local_x'), r'sim: x-plane: the aircraft stays .* m, .* another'),
+    (lambda sim: sim.values.update({POSITION + 'local_x': 500_000.0}),
+     r'not_ready: x-plane: X-Plane is .* km from the runway'),
+    (lambda sim: setattr(sim, 'version', 'twelve'),
+     r'protocol: x-plane: .* is of no known version'),
+])
+def test_a_run_that_cannot_begin(sim, spoil, words):
+    spoil(sim)
+    with pytest.raises(InfraError, match=f'^{words}'):
+        camera(sim, aircraft='208B')
 
 
-def test_a_simulator_that_cannot_be_paused(sim):
-    plain = sim.set
-    sim.set = lambda name, *more: None if 'sim_speed' in name else plain(name, *more)
-    with pytest.raises(InfraError, match=r'timeout: x-plane: after 0.2 s it cannot be paused'):
-        impatient(sim.client(XPlane(setup_of(sim)))).pause(True)
-
-
-def test_a_simulator_that_draws_no_frames(sim):
+@pytest.mark.parametrize(('words', 'use', 'complaint'), [
+    ('sim_speed', lambda one: one.pause(True), 'it cannot be paused'),
+    ('', lambda one: one.frames(1), 'it draws no frames'),
+])
+def test_a_simulator_that_does_not_do_it_in_time(sim, words, use, complaint):
     xplane = impatient(sim.client(XPlane(setup_of(sim))))
-    sim.frame = lambda: None
-    with pytest.raises(InfraError, match=r'timeout: x-plane: after 0.2 s it draws no frames'):
-        xplane.frames(1)
+    deaf(sim, words)
+    if not words:
+        sim.frame = lambda: None
+    with pytest.raises(InfraError, match=f'timeout: x-plane: after 0.2 s {complaint}'):
+        use(xplane)
 
 
 def test_frames_are_counted_while_paused_though_no_time_grows(sim):
@@ -217,45 +200,31 @@ def test_frames_are_counted_while_paused_though_no_time_grows(sim):
     assert made.render(state, 0).shape == SCENE.camera_model.shape
 
 
-def test_a_simulator_far_away(sim):
-    sim.values[POSITION + 'local_x'] = 500_000.0
-    with pytest.raises(InfraError, match=r'not_ready: x-plane: X-Plane is .* km from the runway'):
-        camera(sim)
-
-
-def test_a_restart_in_the_middle_of_a_run(sim):
-    made = camera(sim)
-    sim.restart()
-    with pytest.raises(InfraError, match=r'died: x-plane: X-Plane has been up .* restarted during'):
-        made.render(Aircraft(SCENE).state, 0)
-
-
-def test_somebody_who_resumes_the_simulation(sim):
-    made = camera(sim)
-    sim.values['sim/time/sim_speed'] = 1
-    with pytest.raises(InfraError, match=r'^sim: x-plane: its time went on by .* resume it'):
-        made.render(Aircraft(SCENE).state, 0)
-
-
-@pytest.mark.parametrize(('name', 'value', 'words'), [
-    ('sim/graphics/view/pilots_head_z', 3.0, 'the view is'),
-    (f'{REGION}rain_percent', 0.0, 'rain_percent is 0 after it was set to 0.4'),
-    ('sim/time/zulu_time_sec', 3600.0, 'zulu_time_sec is 3600 after'),
-    ('sim/aircraft/view/acf_ui_name', b'Boeing 737\0', "the aircraft is 'Boeing 737', expected '"),
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (lambda sim: setattr(sim, 'frozen_screen', True),
+     'timeout: x-plane: its picture stayed the same'),
+    (lambda sim: setattr(sim, 'size', (640, 480)),
+     'sim: x-plane: the picture has 640 x 480 pixels, the wi'),
+    (lambda sim: sim.restart(), r'died: x-plane: X-Plane has been up .* restarted during'),
+    (lambda sim: sim.values.update({'sim/time/sim_speed': 1}),
+     r'sim: x-plane: its time went on by .* resume it'),
+    (lambda sim: sim.values.update({'sim/graphics/view/pilots_head_z': 3.0}),
+     'sim: x-plane: the view is'),
+    (lambda sim: sim.values.update({f'{REGION}rain_percent': 0.0}),
+     'sim: x-plane: .*rain_percent is 0 after it was set to 0.4'),
+    (lambda sim: sim.values.update({'sim/time/zulu_time_sec': 3600.0}),
+     'sim: x-plane: .*zulu_time_sec is 3600 after'),
+    (lambda sim: sim.values.update({'sim/aircraft/view/acf_ui_name': b'Boeing 737\0'}),
+     "sim: x-plane: the aircraft is 'Boeing 737', expected '"),
 ])
-def test_somebody_who_changes_view_weather_hour_or_aircraft(sim, name, value, words):
+def test_what_happens_in_the_middle_of_a_run(sim, spoil, words):
     made, state = camera(sim, aircraft='208B'), Aircraft(SCENE).state
     made.render(state, 0)
-    sim.values[name] = value
-    with pytest.raises(InfraError, match=f'^sim: x-plane: .*{words}'):
-        # One more thing is looked at with each picture.
-        list(map(made.render, [state] * 16, range(16)))
-
-
-def test_a_version_that_is_none(sim):
-    sim.version = 'twelve'
-    with pytest.raises(InfraError, match=r'^protocol: x-plane: .* is of no known version'):
-        XPlane(setup_of(sim))
+    spoil(sim)
+    # One more thing is looked at with each picture.
+    states = [dataclasses.replace(state, x_m=state.x_m + step) for step in range(1, 17)]
+    with pytest.raises(InfraError, match=f'^{words}'):
+        list(map(made.render, states, range(1, 17)))
 
 
 def with_datarefs(**values: object) -> Scenario:
@@ -361,44 +330,40 @@ def test_the_world_starts_where_the_scenario_does(sim):
     (-5.0, r'sim: x-plane: its time went back from .* replay shown'),
     (5.0, r'timeout: x-plane: step 2 ended 4\.\d+ s of its time'),
 ])
-def test_a_time_that_jumps(sim, by_s, words):
-    made = world(sim)
-    made.advance(AHEAD)
-    sim.values['sim/time/total_flight_time_sec'] += by_s
-    with pytest.raises(InfraError, match=f'^{words}'):
-        made.advance(AHEAD)
+def impossible(sim: FakeXPlane) -> None:
+    plain = sim.derive
+    sim.derive = lambda: (plain(), sim.values.update({POSITION + 'groundspeed': 1e30}))
 
 
-def test_a_state_that_no_aircraft_has(sim):
-    made, plain = world(sim), sim.derive
-
-    def derive() -> None:
-        plain()
-        sim.values[POSITION + 'groundspeed'] = 1e30
-
-    sim.derive = derive
-    with pytest.raises(InfraError, match=r'^sim: x-plane: the aircraft is at .* no taxiing'):
-        made.advance(AHEAD)
-
-
-def test_an_aircraft_that_is_stuck(sim):
-    made = world(sim, Scenario(duration_s=10.0))
-    plain = sim.set
-    sim.set = lambda name, *more: None if 'throttle' in name else plain(name, *more)
+def stuck(sim: FakeXPlane) -> None:
+    deaf(sim, 'throttle')
     sim.values['sim/cockpit2/engine/actuators/throttle_ratio_all'] = 0.0
     for axis in 'xz':
         sim.values[f'{POSITION}local_v{axis}'] = 0.0
-    with pytest.raises(InfraError, match='sim: x-plane: the aircraft has not moved for 5 s'):
+
+
+def jumped(by_s: float) -> Callable[[FakeXPlane], None]:
+    def jump(sim: FakeXPlane) -> None:
+        sim.values['sim/time/total_flight_time_sec'] += by_s
+
+    return jump
+
+
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (jumped(-5.0), r'sim: x-plane: its time went back from .* replay shown'),
+    (jumped(5.0), r'timeout: x-plane: step 2 ended 4\.\d+ s of its time'),
+    (impossible, r'sim: x-plane: the aircraft is at .* no taxiing'),
+    (stuck, 'sim: x-plane: the aircraft has not moved for 5 s'),
+    (lambda sim: deaf(sim, 'sim_speed'), r'timeout: x-plane: after \S+ s its time stands still'),
+])
+def test_a_world_that_does_not_go_on(sim, spoil, words):
+    made = world(sim, Scenario(duration_s=10.0))
+    made.advance(AHEAD)
+    if 'stands still' in words:
+        impatient(made._xplane)
+    spoil(sim)
+    with pytest.raises(InfraError, match=f'^{words}'):
         list(map(made.advance, [AHEAD] * 60))
-
-
-def test_a_simulation_that_stands_still(sim):
-    made = world(sim)
-    impatient(made._xplane)
-    plain = sim.set
-    sim.set = lambda name, *more: None if 'sim_speed' in name else plain(name, *more)
-    with pytest.raises(InfraError, match=r'timeout: x-plane: after 0.2 s its time stands still'):
-        made.advance(AHEAD)
 
 
 @pytest.mark.parametrize(('key', 'value'), [
@@ -416,41 +381,26 @@ def in_environment(sim: FakeXPlane, monkeypatch: pytest.MonkeyPatch, folder: Pat
     path = folder / 'xplane.yaml'
     path.write_text(f'port: {sim.web_port}\nsettle_s: 0\ntimeout_s: 30\n')
     monkeypatch.setenv('TAXINET_XPLANE', str(path))
-    for module in (camera_module, world_module):
-        made = module.XPlaneCamera if module is camera_module else module.XPlaneWorld
-        monkeypatch.setattr(
-            made.__init__, '__kwdefaults__' if module is world_module else '__defaults__',
-            {'pictures': True, 'setup': None, 'open_screen': lambda *_: FakeScreen(sim)}
-            if module is world_module else (None, lambda *_: FakeScreen(sim)),
-        )
+    screen = lambda *_: FakeScreen(sim)  # noqa: E731
+    monkeypatch.setattr(XPlaneCamera.__init__, '__defaults__', (None, screen))
+    monkeypatch.setitem(XPlaneWorld.__init__.__kwdefaults__, 'open_screen', screen)
 
 
-def test_camera_and_world_by_name(sim, monkeypatch, tmp_path):
+@pytest.mark.parametrize('word', ['kmwh+xplane', 'xplane'])
+def test_camera_and_world_by_name_name_the_step_of_an_error(sim, monkeypatch, tmp_path, word):
     in_environment(sim, monkeypatch, tmp_path)
-    for word in ('kmwh+xplane', 'xplane'):
-        chosen = find_world(word)
-        assert 'twice' in chosen.again_words or 'same way' in chosen.again_words
-        one = chosen.make(PLAIN)
-        try:
-            assert one.observe().image.shape == PLAIN.camera_model.shape
-            one.advance(AHEAD)
-            assert one.observe().seq == 1
-        finally:
-            close_world(one)
-        assert sim.values['sim/time/sim_speed'] == 1
-
-
-def test_errors_of_a_run_name_the_step(sim, monkeypatch, tmp_path):
-    in_environment(sim, monkeypatch, tmp_path)
-    for word in ('kmwh+xplane', 'xplane'):
-        one = find_world(word).make(PLAIN)
-        one.observe()
-        one.advance(AHEAD)
-        sim.restart()
-        with pytest.raises(InfraError, match=r'x-plane at step 1: .*(restart|back)') as error:
-            one.observe() if word != 'xplane' else one.advance(AHEAD)
-        assert error.value.who == 'x-plane'
-        close_world(one)
+    chosen = find_world(word)
+    assert 'twice' in chosen.again_words or 'same way' in chosen.again_words
+    one = chosen.make(PLAIN)
+    assert one.observe().image.shape == PLAIN.camera_model.shape
+    one.advance(AHEAD)
+    assert one.observe(picture=False).seq == 1
+    sim.restart()
+    with pytest.raises(InfraError, match=r'x-plane at step 1: .*(restart|back)') as error:
+        one.observe() if word != 'xplane' else one.advance(AHEAD)
+    assert error.value.who == 'x-plane'
+    close_world(one)
+    assert sim.values['sim/time/sim_speed'] == 1
 
 
 def test_what_the_camera_does_not_show_is_refused_by_name():

@@ -10,7 +10,7 @@ import pytest
 from fake_xplane import FakeXPlane
 
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.extras.xplane.connect import Position, XPlaneConnect, parse_rows
+from taxinet_ros.extras.xplane.connect import XPlaneConnect, parse_rows
 from taxinet_ros.extras.xplane.web import WebApi
 
 RAIN = 'sim/weather/region/rain_percent'
@@ -108,18 +108,14 @@ def test_a_plug_in_that_never_answers():
                 link.read(RAIN)
 
 
-def test_the_plug_in_places_an_aircraft_to_the_centimetre(sim):
-    link = plugin(sim)
-    there = Position(latitude_deg=47.2, longitude_deg=-119.33, altitude_m=365.5, pitch_deg=1.0,
-                     roll_deg=-2.0, heading_deg=54.0)
-    link.place(there)
-    link.read(RAIN)
-    now = link.position()
-    assert now.latitude_deg == pytest.approx(there.latitude_deg, abs=1e-9)
-    assert now.longitude_deg == pytest.approx(there.longitude_deg, abs=1e-9)
-    assert now.altitude_m == pytest.approx(there.altitude_m, abs=1e-3)
-    assert (now.pitch_deg, now.roll_deg) == (1.0, -2.0)
-    assert now.heading_deg == pytest.approx(54.0, abs=1e-5)
+def test_the_plug_in_tells_where_the_aircraft_is_to_the_centimetre(sim):
+    sim.values.update({f'sim/flightmodel/position/local_{axis}': 5432.1 for axis in 'xz'})
+    sim.frame()
+    latitude, longitude, _, _, heading = plugin(sim).position()
+    for name, value, within in (
+        ('latitude', latitude, 1e-9), ('longitude', longitude, 1e-9), ('true_psi', heading, 1e-5)
+    ):
+        assert value == pytest.approx(sim.values[f'sim/flightmodel/position/{name}'], abs=within)
 
 
 def test_an_older_plug_in_tells_positions_to_a_metre_and_is_refused(sim):

@@ -13,6 +13,8 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import pytest
+
 COMMAND = [sys.executable, '-P', '-c', 'from taxinet_ros.cli.start import main; main()']
 RUN = ('run', 'nominal', '--runs', '3', '--perception', 'truth', '--images', 'none',
        '--set', 'duration=600')
@@ -95,3 +97,20 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Exit code, output and complaints of a command that comes to its end."""
     out, err = process.communicate()
     return process.returncode, out, err
+
+
+@contextlib.contextmanager
+def small_disk(place: Path, size: str) -> Iterator[Path]:
+    """A disk of its own, mounted at a new folder."""
+    place.mkdir()
+    words = ['mount', '-t', 'tmpfs', '-o', f'size={size}', 'taxinet-test', str(place)]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip('no mount here; a limit on files stands for it in test_recorded_bag.py')
+    if done.returncode:
+        pytest.skip(f'may not mount ({done.stderr.strip()}); see test_recorded_bag.py')
+    try:
+        yield place
+    finally:
+        subprocess.run(['umount', '-l', str(place)], check=True)

@@ -6,13 +6,12 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+from campaign_records import write_campaign
 
 from taxinet_ros.campaign.options import CampaignOptions, make_options
 from taxinet_ros.campaign.record.book import finished_row, rejected_row, run_request
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, campaign_facts, write_facts
-from taxinet_ros.campaign.record.ledger import Ledger
+from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.mtl import exact_intervals
@@ -45,13 +44,7 @@ def five_outcomes(out: Path) -> tuple[CampaignOptions, list[RunRow]]:
     facts = campaign_facts(
         options, find_program(options.program), program_text(options.program)
     )
-    out.mkdir()
-    write_facts(out, facts)
-    with Ledger(out / LEDGER_NAME) as ledger:
-        ledger.campaign(facts)
-        for row in rows:
-            ledger.result(row)
-    write_tables(rows, out, ['phi_always'])
+    write_campaign(out, rows, facts)
     return options, rows
 
 

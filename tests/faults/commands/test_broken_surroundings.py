@@ -51,24 +51,17 @@ def test_f6_given_broken_surroundings_then_the_code_tells_whether_the_output_was
     assert (found, err.count('\n')) == (code, int(bool(complaint))), err
     assert err.endswith(f'{complaint}\n' if complaint else '')
     assert not WRONG.search(err)
+    if name in ('stderr closed', 'stdout full', 'folder gone'):
+        (tmp_path / 'again').mkdir()
+        refused, err = asked(around, 'gate', 'nowhere', cwd=tmp_path / 'again')
+        assert (refused, len(err.splitlines()) <= 1, WRONG.search(err)) == (2, True, None), err
 
 
-@pytest.mark.parametrize('name', [
-    'stdin closed', 'stderr closed', 'stderr full', 'stdout full', 'folder gone', 'ASCII',
-])
-def test_f6_given_broken_surroundings_when_a_command_is_refused_then_it_is_no_verdict(
-    name, tmp_path
-):
-    code, err = asked(BROKEN[name][0], 'gate', 'nowhere', cwd=tmp_path)
-    assert (code, len(err.splitlines()) <= 1, WRONG.search(err)) == (2, True, None), err
-
-
-@pytest.mark.parametrize('words', ['--help', 'plugins'])
-def test_f6_given_output_that_nobody_reads_then_the_code_is_that_of_sigpipe(words, tmp_path):
+def test_f6_given_output_that_nobody_reads_then_the_code_is_that_of_sigpipe(tmp_path):
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run(
-        [*COMMAND, *words.split()], stdout=writing, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+        [*COMMAND, 'plugins'], stdout=writing, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         check=False,
     )
     os.close(writing)

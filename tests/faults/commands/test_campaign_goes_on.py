@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from campaign_records import results
 from command_process import ended, taxinet
 from process_table import children, gone
 from waiting import wait_for
@@ -85,11 +86,6 @@ class Standing:
         for process in self.started:
             with process:  # its pipe is closed, and its end waited for
                 pass
-
-
-def results(out: Path) -> int:
-    ledger = out / 'ledger.jsonl'
-    return ledger.read_text().count('"event":"result"') if ledger.exists() else 0
 
 
 def test_given_a_sampler_that_is_killed_when_resumed_then_the_table_is_as_if_not(tmp_path):

@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from campaign_records import write_campaign
 from five_outcomes import five_outcomes
 from graph_runs import request, run, steps_in
 from hypothesis import given
@@ -17,8 +18,8 @@ from hypothesis import strategies as st
 
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.campaign.record.book import run_name
-from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
-from taxinet_ros.campaign.record.table import read_table, write_tables
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.scenes.programs import shipped_folder
 from taxinet_ros.cli.main import main
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -98,14 +99,7 @@ def hostile(tmp_path_factory) -> Path:
         )
         for row, word, own in zip(rows, HOSTILE * 4, FILE_NAMES * 9, strict=False)
     ]
-    facts = read_ledger(folder / 'ledger.jsonl').campaign
-    (folder / 'ledger.jsonl').unlink()
-    with Ledger(folder / 'ledger.jsonl') as ledger:
-        ledger.campaign(facts)
-        for row in spoilt:
-            ledger.result(row)
-    write_tables(spoilt, folder, ['phi_always'])
-    return folder
+    return write_campaign(folder, spoilt, read_campaign(folder).facts)
 
 
 def test_given_hostile_words_in_a_table_then_no_cell_is_a_formula_and_parquet_has_them(hostile):

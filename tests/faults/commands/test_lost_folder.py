@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_process import ended, taxinet
+from campaign_records import results
+from command_process import ended, small_disk, taxinet
 from waiting import wait_for
 
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
@@ -19,10 +20,6 @@ pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 RUNS = ['--perception', 'truth', '--images', 'none', '--set', 'duration=1', '--out', 'c']
 RUN = ['run', 'nominal', '--runs', '2000', *RUNS]
 FALSIFY = ['falsify', 'nominal', '--runs', '2000', '--workers', '2', *RUNS]
-
-
-def results(ledger: Path) -> int:
-    return ledger.read_text().count('"event":"result"') if ledger.exists() else 0
 
 
 def moved(tmp_path: Path) -> None:
@@ -38,7 +35,7 @@ def lost(
     words: list[str], act: Callable[[Path], None], tmp_path: Path
 ) -> tuple[int, list[str], list[str]]:
     with taxinet(*words, cwd=tmp_path) as campaign:
-        wait_for(lambda: results(tmp_path / 'c' / 'ledger.jsonl') >= 2)
+        wait_for(lambda: results(tmp_path / 'c') >= 2)
         act(tmp_path)
         code, out, err = ended(campaign)
     complaints = [line for line in err.splitlines() if line.startswith('taxinet: error: ')]
@@ -61,7 +58,7 @@ def test_f9_given_a_record_that_is_taken_away_then_the_campaign_ends_and_tells_w
     assert len(shown) >= 2
     assert lines[-1].startswith('known until then: ')
     assert not any(line.startswith(('table:', 'under the program')) for line in lines)
-    kept = read_ledger(tmp_path / 'moved' / 'ledger.jsonl').rows
+    kept = read_campaign(tmp_path / 'moved').rows
     assert len(kept) >= len(shown)
     if act is moved:
         assert not (tmp_path / 'c').exists(), 'nothing is begun in its place'
@@ -70,20 +67,9 @@ def test_f9_given_a_record_that_is_taken_away_then_the_campaign_ends_and_tells_w
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk on which there is room for a ledger, but for no bag."""
-    place = tmp_path / 'disk'
-    place.mkdir()
-    words = ['mount', '-t', 'tmpfs', '-o', 'size=400k', 'taxinet-test', str(place)]
-    try:
-        done = subprocess.run(words, capture_output=True, text=True)
-    except FileNotFoundError:
-        pytest.skip('no mount here')
-    if done.returncode:
-        pytest.skip(f'may not mount ({done.stderr.strip()})')
-    try:
+    """A disk on which there is room for a record, but for no bag."""
+    with small_disk(tmp_path / 'disk', '400k') as place:
         yield place
-    finally:
-        subprocess.run(['umount', '-l', str(place)], check=True)
 
 
 def test_f1_given_a_full_disk_when_there_is_room_again_then_the_campaign_ends_as_undisturbed(

@@ -19,7 +19,7 @@ from taxinet_ros.analysis.experiment.report import (
 )
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.campaign.experiment import read_experiment
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.summary import campaign_summary, row_line
 from taxinet_ros.cli.main import main
@@ -82,9 +82,9 @@ def test_given_five_outcomes_when_a_sampler_is_told_then_only_judged_runs_have_a
         assert told[outcome] == {None}
 
 
-def test_given_five_outcomes_then_ledger_and_tables_have_kind_and_reason_and_no_rho(campaign):
+def test_given_five_outcomes_then_record_and_tables_have_kind_and_reason_and_no_rho(campaign):
     folder, _, rows = campaign
-    kept = read_ledger(folder / 'ledger.jsonl').rows
+    kept = read_campaign(folder).rows
     assert [(row.outcome, row.kind, row.who, row.detail) for row in kept] == [
         (row.outcome, row.kind, row.who, row.detail) for row in rows
     ]

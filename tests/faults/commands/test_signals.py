@@ -14,7 +14,7 @@ from process_table import children, gone
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.processes.interrupts import interrupts, interrupts_delayed, raise_interrupt
 
@@ -50,7 +50,7 @@ def test_given_a_signal_amid_a_run_then_its_bag_is_closed_and_no_other_run_begin
     assert '1 INTERRUPTED' in out
     assert list(read_table(tmp_path / 'c')['outcome']) == ['INTERRUPTED']
     assert read_info(tmp_path / BAG).complete
-    (row,) = read_ledger(tmp_path / 'c' / 'ledger.jsonl').rows
+    (row,) = read_campaign(tmp_path / 'c').rows
     assert steps_in(tmp_path / BAG) == list(range(row.steps))
 
 
@@ -68,7 +68,7 @@ def test_given_signal_after_signal_then_nothing_is_waited_for_and_nothing_is_lef
     steps = steps_in(tmp_path / BAG)
     assert len(steps) > 3
     assert steps == list(range(len(steps)))
-    assert read_ledger(tmp_path / 'c' / 'ledger.jsonl').unfinished == (0,)
+    assert read_campaign(tmp_path / 'c').unfinished == (0,)
 
 
 def test_given_a_terminal_that_is_closed_amid_a_run_then_its_bag_is_closed(tmp_path):

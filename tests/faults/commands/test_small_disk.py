@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command_process import ended, taxinet
+from command_process import ended, small_disk, taxinet
 from graph_runs import request, run, steps_in
 
 from taxinet_ros.bag.rewrite.recovery import recover
@@ -29,20 +28,9 @@ class NothingKeptFree(GraphOptions):
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of its own with room for 600 kB, or for so many frames."""
-    place = tmp_path / 'disk'
-    place.mkdir()
-    words = ['mount', '-t', 'tmpfs', '-o', 'size=600k', 'taxinet-test', str(place)]
-    try:
-        done = subprocess.run(words, capture_output=True, text=True)
-    except FileNotFoundError:
-        pytest.skip('no mount here; a limit on files stands for it in test_recorded_bag.py')
-    if done.returncode:
-        pytest.skip(f'may not mount ({done.stderr.strip()}); see test_recorded_bag.py')
-    try:
+    """A disk with room for 600 kB, or for so many frames."""
+    with small_disk(tmp_path / 'disk', '600k') as place:
         yield place
-    finally:
-        subprocess.run(['umount', str(place)], check=True)
 
 
 def test_given_a_disk_that_fills_up_then_the_run_is_broken_and_its_bag_can_be_saved(

@@ -1,12 +1,19 @@
-"""Messages that are wrong, missing, doubled or out of order: harmless, or the run names who."""
+"""Messages that are wrong, missing, doubled or out of order: harmless, or the run names who.
+
+Who broke a run is who is named: not the one who noticed, nor the one who passed it on.
+"""
 
 from __future__ import annotations
 
+import copy
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
-from graph_runs import request, run, steps_in
+from action_msgs.msg import GoalStatus
+from graph_runs import files, request, run, steps_in
+from rclpy.action import ActionClient
 from tampering import changed, cut_short, tamper
 
 from taxinet_ros.bag.check.doctor import check_bag
@@ -16,7 +23,16 @@ from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
-from taxinet_ros.nodes.interface import COMMAND, ESTIMATE, IMAGE, TRUTH
+from taxinet_ros.nodes.interface import (
+    COMMAND,
+    ESTIMATE,
+    IMAGE,
+    MTL_MONITOR,
+    PERCEPTION,
+    STEERING_CONTROLLER,
+    TRUTH,
+)
+from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
@@ -25,10 +41,10 @@ DURATION = 3.0
 
 
 def tampered_run(
-    out: Path, topic, how, perception: str = 'truth', images: str = 'none', **timeouts: float
+    out: Path, topic, how, perception: str = 'truth', whole: bool = True, **timeouts: float
 ) -> RunResult:
-    """A run with something wrong, and after a broken one that the graph is none the worse."""
-    options = GraphOptions(perception=perception, out=out, images=images, timeouts=timeouts)
+    """A run with something wrong; its bag is whole up to the step (``whole``) where it broke."""
+    options = GraphOptions(perception=perception, out=out, images='none', timeouts=timeouts)
     with composed_graph(options) as graph:
         tamper(graph, topic, how)
         (result,) = run(graph, request(duration=DURATION))
@@ -36,7 +52,7 @@ def tampered_run(
         assert result.rho == {}
         steps = steps_in(out / 'run')
         assert steps == list(range(len(steps)))
-        assert len(steps) > STEP
+        assert len(steps) > STEP * whole
     else:
         assert all(not check.findings for check in check_bag(out / 'run').checks)
     return result
@@ -55,28 +71,128 @@ def undisturbed(tmp_path_factory) -> tuple[RunResult, dict[str, bytes]]:
     return result, files(out / 'run')
 
 
-def files(bag: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in bag.iterdir()}
+def late(message: Any) -> Any:
+    """Stamped off every step."""
+    other = copy.deepcopy(message)
+    other.header.stamp.nanosec += 7
+    return other
 
 
-FRAMES = {
-    'encoding': (lambda m: changed(m, encoding='32FC3'), "image encoding is '32FC3'"),
-    'too small': (
-        lambda m: changed(m, height=10, width=10, step=30, data=bytes(300)),
+def with_(**values: Any) -> Any:
+    return lambda message: changed(message, **values)
+
+
+FRAME = ('node_error', PERCEPTION, IMAGE)
+WRONG = {
+    'frame of another encoding': (*FRAME, with_(encoding='32FC3'), "image encoding is '32FC3'"),
+    'frame too small': (
+        *FRAME, with_(height=10, width=10, step=30, data=bytes(300)),
         'image is (10, 10, 3), expected (200, 360, 3)',
     ),
-    'too few bytes': (lambda m: changed(m, data=bytes(300)), 'has step 1080 and 300 bytes'),
-    'torn': (cut_short, 'ends before its pixels'),
+    'frame of too few bytes': (*FRAME, with_(data=bytes(300)), 'has step 1080 and 300 bytes'),
+    'frame torn': (*FRAME, cut_short, 'ends before its pixels'),
+    'truth not finite': (
+        'invalid_run', '', TRUTH, with_(cross_track_error=math.nan),
+        'no whole, finite sequence of samples',
+    ),
+    'estimate of a frame to come': (
+        'protocol', PERCEPTION, ESTIMATE, with_(seq=STEP + 1),
+        f'answered frame {STEP + 1}, which is not out yet',
+    ),
+    'estimate off every step': ('protocol', PERCEPTION, ESTIMATE, late, ''),
+    'command off every step': ('protocol', STEERING_CONTROLLER, COMMAND, late, ''),
+    'command not finite': (
+        'protocol', STEERING_CONTROLLER, COMMAND, with_(steering_angle=math.nan),
+        'commanded nan rad at 5 m/s',
+    ),
+    'command backwards': ('protocol', STEERING_CONTROLLER, COMMAND, with_(speed=-1.0), 'at -1 m/s'),
+    'command of two frames': (
+        'protocol', STEERING_CONTROLLER, COMMAND, with_(seq=STEP - 1),
+        f'its answer to frame {STEP - 1} is stamped 0.9 s',
+    ),
+    'command of a frame to come': (
+        'protocol', STEERING_CONTROLLER, COMMAND, with_(seq=STEP + 2), '',
+    ),
 }
 
 
-@pytest.mark.parametrize('case', FRAMES)
-def test_given_a_frame_that_is_none_then_the_perception_says_why(case, tmp_path):
-    change, words = FRAMES[case]
-    result = tampered_run(tmp_path, IMAGE, only_at(STEP, change), perception='taxinet')
-    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'node_error')
-    assert (result.who, result.last_seq) == (interface.PERCEPTION, STEP)
+@pytest.mark.parametrize('case', WRONG)
+def test_given_a_message_that_is_wrong_then_the_run_names_who_sent_it_and_why(case, tmp_path):
+    kind, who, topic, change, words = WRONG[case]
+    perception = 'taxinet' if topic is IMAGE else 'truth'
+    result = tampered_run(tmp_path, topic, only_at(STEP, change), perception=perception)
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, kind), result
+    assert who in ('', result.who)
     assert words in result.detail
+    if topic is IMAGE:
+        assert result.last_seq == STEP
+
+
+def test_given_an_estimate_of_a_wrong_frame_behind_the_command_of_it_then_the_perception_is_charged(
+    tmp_path, monkeypatch
+):
+    """The command that follows comes in before the estimate that it follows."""
+    held: list[Any] = []
+    overtaken: list[Any] = []
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    with composed_graph(options) as graph:
+        tamper(graph, ESTIMATE, only_at(STEP, with_(seq=STEP + 1)))
+        simulator = next(n for n in graph.nodes if n.get_name() == interface.SIMULATOR)
+        on_estimate, on_command = simulator._on_estimate, simulator._on_command
+        hear = simulator._take
+
+        def take(run: Any, callback: Any, message: Any) -> None:
+            if callback == on_estimate and message.seq == STEP + 1:
+                held.append(message)
+                return
+            hear(run, callback, message)
+            if callback == on_command and held:
+                overtaken.append(held.pop())
+                hear(run, on_estimate, overtaken[0])
+
+        monkeypatch.setattr(simulator, '_take', take)
+        (result,) = run(graph, request(duration=DURATION))
+    assert len(overtaken) == 1
+    assert (result.outcome, result.kind, result.who) == (
+        Outcome.INFRA_ERROR, 'protocol', PERCEPTION)
+    assert result.detail == f'answered frame {STEP + 1}, which is not out yet'
+
+
+def test_given_a_follower_that_is_ahead_of_time_then_it_is_charged(tmp_path, monkeypatch):
+    said = MtlMonitor.progress
+    monkeypatch.setattr(
+        MtlMonitor, 'progress', lambda self, seq, stamp_ns: said(self, seq + 500, stamp_ns))
+    result = tampered_run(tmp_path, ESTIMATE, lambda k, message: [message], whole=False)
+    assert (result.outcome, result.kind, result.who) == (
+        Outcome.INFRA_ERROR, 'protocol', MTL_MONITOR)
+
+
+def test_given_runs_then_a_goal_succeeds_only_where_it_was_judged(tmp_path, monkeypatch):
+    """A behaviour tree goes by the goal's status."""
+    states: list[int] = []
+    take = ActionClient._get_result_async
+
+    def taken(self: Any, handle: Any) -> Any:
+        future = take(self, handle)
+        future.add_done_callback(lambda done: states.append(done.result().status))
+        return future
+
+    monkeypatch.setattr(ActionClient, '_get_result_async', taken)
+    outcomes = []
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path, images='none')) as graph:
+        outcomes += run(graph, request('judged', duration=1.0))
+        outcomes += run(graph, request('refused', participants=(PERCEPTION, 'recorder')))
+        tamper(graph, COMMAND, lambda k, m: [changed(m, speed=-1.0)])
+        outcomes += run(graph, request('broken', duration=1.0))
+    assert [result.outcome for result in outcomes] == [
+        Outcome.FAIL, Outcome.REJECTED, Outcome.INFRA_ERROR]
+    assert outcomes[1].detail == (
+        'participants: a run needs steering_controller, mtl_monitor as well, got only perception, '
+        'recorder'
+    )
+    assert not (tmp_path / 'refused').exists()
+    assert states == [
+        GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_ABORTED]
 
 
 ESTIMATES = [
@@ -114,30 +230,6 @@ def test_given_absurd_estimates_then_the_steering_keeps_to_its_stops_and_rho_is_
     steering = open_recording(tmp_path / 'run').columns['steering_rad'][STEP:]
     assert len(steering) > 20
     assert max(abs(steering)) == SteeringGains().max_steering_rad
-
-
-def test_given_a_truth_that_is_not_finite_then_there_is_no_verdict(tmp_path):
-    result = tampered_run(
-        tmp_path, TRUTH, only_at(STEP, lambda m: changed(m, cross_track_error=math.nan))
-    )
-    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'invalid_run')
-    assert 'no whole, finite sequence of samples' in result.detail
-
-
-COMMANDS = {
-    'nan': ({'steering_angle': math.nan}, 'commanded nan rad at 5 m/s'),
-    'backwards': ({'speed': -1.0}, 'at -1 m/s'),
-    'of two frames': ({'seq': STEP - 1}, f'its answer to frame {STEP - 1} is stamped 0.9 s'),
-}
-
-
-@pytest.mark.parametrize('case', COMMANDS)
-def test_given_a_command_that_is_none_then_the_controller_is_named(case, tmp_path):
-    values, words = COMMANDS[case]
-    result = tampered_run(tmp_path, COMMAND, only_at(STEP, lambda m: changed(m, **values)))
-    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'protocol')
-    assert result.who == interface.STEERING_CONTROLLER
-    assert words in result.detail
 
 
 @pytest.mark.parametrize('topic', [ESTIMATE, COMMAND], ids=lambda topic: topic.publishers[0])

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from pathlib import Path
 
 import pytest
-from graph_runs import request, run, steps_in
+from graph_runs import files, request, run, steps_in
 
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -128,10 +127,6 @@ def test_given_a_picture_that_takes_longer_than_answers_may_then_nobody_is_blame
     with composed_graph(options) as graph:
         (result,) = run(graph, request(duration=1.0))
     assert result.outcome.judged, result
-
-
-def files(bag: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in bag.iterdir()}
 
 
 def test_given_a_recorder_that_misses_a_message_then_the_run_has_no_verdict(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from graph_runs import PERIOD_NS, request, run, steps_in
+from graph_runs import PERIOD_NS, files, request, run, steps_in
 from rosgraph_msgs.msg import Clock
 from tampering import tamper
 from taxinet_msgs.action import RunScenario
@@ -42,10 +42,6 @@ def disturbed_run(out: Path, stamp_of_step) -> tuple[RunResult, int]:
         tamper(graph, CLOCK, tick)
         (result,) = run(graph, request(duration=5.0))
         return result, recorder._steps.repeated
-
-
-def files(bag: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in bag.iterdir()}
 
 
 def test_given_a_clock_that_runs_backwards_then_not_a_byte_changes(tmp_path):

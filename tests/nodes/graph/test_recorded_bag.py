@@ -7,6 +7,7 @@ import sys
 import threading
 
 import pytest
+from campaign_records import write_campaign
 from graph_runs import request, run
 from waiting import wait_for
 
@@ -31,7 +32,6 @@ from taxinet_ros.bag.run.topics import (
 )
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
-from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 
@@ -69,7 +69,7 @@ def test_given_a_disk_that_fills_up_then_that_run_is_a_broken_bag_and_the_next_i
     tmp_path, monkeypatch
 ):
     facts = {'program': 'mine.scenic', 'program_text': PROGRAM}
-    write_sealed(tmp_path / 'campaign.json', facts)
+    write_campaign(tmp_path, facts=facts)
     calls = {'n': 0}
 
     def disk(descriptor: int) -> os.statvfs_result:
@@ -114,7 +114,7 @@ def test_given_a_recorder_killed_in_a_graph_of_processes_then_whole_steps_stay(t
     whole = min(n for name, n in counts.items() if name.strip('/') not in ONCE)
     assert steps - 1 <= whole <= steps
     assert wrong(tmp_path / 'saved') == {
-        'steps': ['0 messages, not 1; the bag ends before the run does'],
+        'lockstep': ['0 messages, not 1; the bag ends before the run does'],
     }
     facts = open_recording(tmp_path / 'saved').facts
     assert facts is not None

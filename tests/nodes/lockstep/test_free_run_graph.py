@@ -127,7 +127,7 @@ def test_r5_given_the_bag_of_a_free_run_then_it_is_whole_and_can_be_driven_again
     _, bag = slow
     checked = check_bag(bag)
     assert checked.findings == ()
-    steps = next(check for check in checked.checks if check.name == 'steps')
+    steps = next(check for check in checked.checks if check.name == 'lockstep')
     assert 'a free run: ' in steps.looked_at
     # Compares each state with the recorded one, to the bit.
     assert len(list(open_recording(bag).observations())) == STEPS

@@ -19,7 +19,7 @@ from taxinet_ros.training.data.portions import (
     SPREAD_RAD,
     Portion,
     counterexample_scenes,
-    ledger_digest,
+    record_digest,
     parse_portion,
     portion_seed,
 )
@@ -105,7 +105,7 @@ def test_given_a_portion_of_runs_then_the_card_names_campaign_and_ledger(tmp_pat
     folder = campaign(tmp_path / 'c')
     portion = parse_portion(f'{folder}=3', 'runs')
     source = portion.source()
-    assert (source.kind, source.name, source.sha256) == ('runs', 'c', ledger_digest(folder))
+    assert (source.kind, source.name, source.sha256) == ('runs', 'c', record_digest(folder))
     assert portion.scenes(3, 4, lambda *told: None) == counterexample_scenes(folder, 3, 4)
 
 

@@ -1,17 +1,20 @@
-"""Runs that were stopped early, in rows, tables, the ledger, and in what a sampler is told."""
+"""Rows: what they may say, and of runs that were stopped early; in tables and for a sampler."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
+from typing import Any
 
 import falsify_samples
 import pytest
+from campaign_records import change_row, write_campaign
 
 from taxinet_ros.campaign.rates import failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import read_table, table, write_tables
+from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.summary import campaign_summary, row_line, stopped_words
 from taxinet_ros.campaign.worker_pool import (
     request_from_json,
@@ -51,9 +54,12 @@ def row(index: int, *, stopped: bool, furthest: float = 4.0) -> RunRow:
     return made.with_choice(sampler='random', point={}, weight=1.0, retries=0)
 
 
+def campaign(folder: Path, *rows: RunRow, **more: Any) -> Path:
+    return write_campaign(folder, rows, {'specs': dict.fromkeys(SPECS, '')}, **more)
+
+
 def test_given_a_stopped_run_when_tabulated_then_it_has_an_interval_and_says_when(tmp_path: Path):
-    write_tables([row(0, stopped=True), row(1, stopped=False)], tmp_path, SPECS)
-    frame = read_table(tmp_path)
+    frame = read_table(campaign(tmp_path, row(0, stopped=True), row(1, stopped=False)))
     assert list(frame['stopped_early']) == [True, False]
     assert frame['stopped_s'][0] == 10.1
     assert math.isnan(frame['stopped_s'][1])
@@ -86,8 +92,9 @@ def test_given_a_stopped_run_then_a_sampler_is_told_the_end_that_is_nearer_to_ze
     assert stopped.headline == (-math.inf, -0.25)
     assert row(1, stopped=False).robustness_for_sampler('phi_eventually') == -3.0
     assert stopped.robustness_for_sampler('unknown') is None
-    open_ended = RunRow.from_json({**stopped.to_json(), 'rho_lower': {'a': 0.5, 'b': -1.0},
-                                   'rho_upper': {'a': math.inf, 'b': 1.0}})
+    open_ended = dataclasses.replace(stopped, robustness={
+        'a': RobustnessInterval(0.5, math.inf), 'b': RobustnessInterval(-1.0, 1.0),
+    })
     assert open_ended.robustness_for_sampler('a') == 0.5
     assert open_ended.robustness_for_sampler('b') is None
 
@@ -114,21 +121,49 @@ def test_given_requests_and_results_when_they_travel_then_the_rule_and_the_inter
     assert result_from_json(result_to_json(answer)) == answer
 
 
-def test_given_a_row_with_an_interval_when_it_was_not_stopped_then_it_is_refused():
-    with pytest.raises(UsageError, match='has intervals'):
-        RunRow.from_json({**row(0, stopped=True).to_json(), 'stopped_early': False})
+@pytest.mark.parametrize('made', [
+    row(0, stopped=True), row(1, stopped=False),
+    RunRow(run_id='r', index=2, program='p', seed=1, perception='', outcome=Outcome.REJECTED),
+])
+def test_given_a_row_when_recorded_then_it_is_read_as_it_was(made: RunRow, tmp_path: Path):
+    assert read_campaign(campaign(tmp_path, made)).rows == (made,)
+
+
+@pytest.mark.parametrize(('changes', 'said'), [
+    ({'robustness': {'phi': (0.5, 0.5)}}, 'FAIL with robustness'),
+    ({'robustness': {'phi': (-0.5, 0.5)}}, 'has intervals'),
+    ({'robustness': {}}, 'FAIL with rho'),
+    ({'outcome': 'PASS'}, 'PASS with robustness'),
+    ({'outcome': 'PASS', 'robustness': {'phi': (0.0, 0.0)}}, 'PASS with robustness'),
+    ({'outcome': 'PASS', 'robustness': {}}, 'PASS with rho'),
+    ({'outcome': 'INFRA_ERROR'}, 'INFRA_ERROR with rho'),
+    ({'outcome': 'GREAT'}, "'GREAT' is not a valid Outcome"),
+    ({'run_id': '../../etc'}, "run_id is '../../etc', not a plain name"),
+    ({'bag': '../../etc'}, "bag is '../../etc', not a plain name"),
+    ({'index': -1}, 'index is -1'),
+    ({'clouds': 'purple'}, 'clouds is'),
+    ({'distance_m': math.inf}, 'distance_m is inf'),
+    ({'fingerprints': ''}, 'unexpected keyword argument'),
+])
+def test_given_a_row_that_cannot_be_then_the_record_is_refused(
+    changes: dict[str, Any], said: str, tmp_path: Path
+):
+    campaign(tmp_path, row(0, stopped=False))
+    change_row(tmp_path, 0, **changes)
+    with pytest.raises(UsageError, match=r'campaign\.db: not a row of this version') as caught:
+        read_campaign(tmp_path)
+    assert said in str(caught.value)
+    assert '\n' not in str(caught.value)
 
 
 def test_given_a_later_requirement_when_on_record_then_the_rows_of_before_have_it(tmp_path: Path):
-    path = tmp_path / 'ledger.jsonl'
-    with Ledger(path) as ledger:
-        for index, stopped in enumerate((True, False)):
-            ledger.result(row(index, stopped=stopped))
-        ledger.requirement('late', 'always(cte < 1)', {
-            0: RobustnessInterval(-1.0, 2.0), 1: RobustnessInterval.exactly(0.5),
-        })
-        ledger.result(row(2, stopped=False))
-    content = read_ledger(path)
+    rows = (
+        row(0, stopped=True).also_judged('late', RobustnessInterval(-1.0, 2.0)),
+        row(1, stopped=False).also_judged('late', RobustnessInterval.exactly(0.5)),
+        row(2, stopped=False),
+    )
+    folder = campaign(tmp_path, *rows, added={'late': 'always(cte < 1)'})
+    content = read_campaign(folder)
     assert content.added == {'late': 'always(cte < 1)'}
     first, second, third = content.rows
     assert first.robustness['late'] == (-1.0, 2.0)
@@ -136,10 +171,8 @@ def test_given_a_later_requirement_when_on_record_then_the_rows_of_before_have_i
     assert second.rho['late'] == 0.5
     assert second.headline == (-3.0, -3.0)
     assert 'late' not in third.robustness, 'it was run afterwards'
-    frame = table(content.rows, SPECS)
+    frame = read_table(folder)
     assert list(frame['rho_late'].fillna(9)) == [9, 0.5, 9]
     assert list(frame['rho_upper.late'].fillna(9)) == [2.0, 0.5, 9]
-    with Ledger(path) as ledger:
-        ledger.requirement('bad', 'always(cte < 1)', {1: (-1.0, 2.0)})
-    with pytest.raises(UsageError, match=r'jsonl:5: damaged line \(run run-1: FAIL with bad'):
-        read_ledger(path)
+    with pytest.raises(ValueError, match='FAIL with bad'):
+        row(1, stopped=False).also_judged('bad', RobustnessInterval(-1.0, 2.0))
