@@ -91,7 +91,7 @@ def test_given_no_trace_or_more_than_one_when_traced_then_the_error_says_why(
     odd = dataclasses.replace(TOPICS['/camera/image_raw'], name='/ground_truth/tracking_error')
     with BagWriter(tmp_path / 'odd', [odd], metadata={}, attachments={}, min_free_bytes=0) as bag:
         bag.write(odd.name, _image()[2], 0)
-    with pytest.raises(BagForeign, match='topic ground_truth/tracking_error'):
+    with pytest.raises(BagForeign, match='topics of the trace: '):
         _ = open_recording(tmp_path / 'odd').columns
 
 
