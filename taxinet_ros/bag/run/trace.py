@@ -125,13 +125,7 @@ def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
 
 
 def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
-    """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame.
-
-    Raises:
-        BagCorrupt: size and data of an image do not match.
-        BagForeign: an image is neither rgb8 nor bgr8, or there are several runs.
-        BagError: the bag is damaged or unsupported.
-    """
+    """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame."""
     path, latest_ns = recording.path, -1
     for stored in recording.one.whole_messages(lambda name: is_topic(name, IMAGE)):
         where = f'{path}: image at {stored.stamp_ns} ns'
