@@ -1,9 +1,9 @@
-"""Seeded faults: how many of small faults, planted one at a time in the code, the tests detect.
+"""Seeded faults: which of small faults, planted in the code one at a time, the tests detect.
 
-``draw`` chooses faults at random, ``reach`` finds the tests that reach each of them, ``run`` plants
-each and runs these tests until one fails, ``table`` counts. They work in a checkout whose
-taxinet_ros is as committed, change it, and put it back. ``seeded_faults.jsonl`` holds the faults
-with what caught them; the tests that reach them, and the logs, are in ``build/seeded_faults``.
+``reach`` finds the tests that reach each fault, ``run`` plants each and runs these tests until one
+fails, ``table`` counts. They work in a checkout whose taxinet_ros is as committed, change it, and
+put it back. ``seeded_faults.jsonl`` holds the faults, drawn by ``draw_faults.py``, and what caught
+them; the tests that reach them and the log are in ``build/seeded_faults``.
 """
 
 from __future__ import annotations
@@ -13,19 +13,17 @@ import contextlib
 import dataclasses
 import json
 import os
-import random
 import re
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import count, leave, make_table, options, page_console
+from common import leave, make_table, options, page_console
 
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -38,7 +36,6 @@ ROOMS: Mapping[str, Sequence[str]] = {
 }
 """Folders of the package whose functions are changed."""
 
-_LEFT_OUT = ('campaign/record/',)
 SUITES = {'fast': 'not nightly', 'nightly': 'nightly', 'before': ''}
 """Tests by their marks; those before are all of a checkout of an earlier commit."""
 WORK = Path('build/seeded_faults')
@@ -65,25 +62,11 @@ def hit(number):
         except OSError:
             pass
 """
-_UNITS = {1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 3.6, 60, 0.3048, 180.0}
-_UNIT_NAME = re.compile(r'_PER_|_S_PER|NS$')
-_ANGLES = {'radians', 'degrees', 'deg2rad', 'rad2deg'}
-_FLIPPED = {
-    ast.Lt: ('<', '<='), ast.LtE: ('<=', '<'), ast.Gt: ('>', '>='), ast.GtE: ('>=', '>'),
-    ast.Eq: ('==', '!='), ast.NotEq: ('!=', '=='), ast.In: ('in', 'not in'),
-    ast.NotIn: ('not in', 'in'), ast.Is: ('is', 'is not'), ast.IsNot: ('is not', 'is'),
-}
-_TEXT = (ast.JoinedStr, ast.List, ast.Tuple, ast.ListComp)
-
 KINDS = ('comparison', 'check', 'off by one', 'unit', 'sign')
 """Flipped comparisons, dropped checks, integers and bounds one off, factors of units dropped,
 plus for minus."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
-Edit = tuple[str, int, int, str]
-"""A kind, where it begins and ends in the source [byte], and what is there instead."""
-
-
 @dataclasses.dataclass(frozen=True)
 class Fault:
     """A change of the code, and what detected it.
@@ -154,122 +137,7 @@ def sources(tree: Path, folders: Sequence[str]) -> Iterator[Source]:
     """The files in folders of a checkout's package."""
     for folder in folders:
         for file in sorted((tree / PACKAGE / folder).rglob('*.py')):
-            path = file.relative_to(tree / PACKAGE).as_posix()
-            if not path.startswith(_LEFT_OUT):
-                yield Source(file, path)
-
-
-def _code(node: ast.AST) -> Iterator[ast.AST]:
-    """What is run of a function, but for what only words a message."""
-    for name, value in ast.iter_fields(node):
-        if name in ('annotation', 'returns', 'decorator_list', 'exc', 'args') and not (
-            name == 'args' and isinstance(node, ast.Call)
-        ):
-            continue
-        for child in value if isinstance(value, list) else [value]:
-            if isinstance(child, ast.AST) and not isinstance(child, ast.JoinedStr):
-                yield child
-                yield from _code(child)
-
-
-def edits(source: Source, function: Function) -> Iterator[Edit]:
-    """All faults that could be planted in a function."""
-    for node in _code(function):
-        begin, end = source.span(node) if hasattr(node, 'lineno') else (0, 0)
-        if isinstance(node, ast.Compare):
-            yield from _flip(source, node)
-        elif isinstance(node, ast.If):
-            word = source.data[begin : begin + 3]
-            if not node.orelse and len(node.body) == 1 and word == b'if ' and isinstance(
-                node.body[0], ast.Raise | ast.Return
-            ):
-                yield 'check', begin, end, 'pass'
-        elif isinstance(node, ast.Constant) and type(node.value) is int:
-            yield 'off by one', begin, end, str(node.value + (1 if begin % 2 else -1))
-        elif isinstance(node, ast.Call):
-            name = getattr(node.func, 'attr', getattr(node.func, 'id', ''))
-            if name in _ANGLES and len(node.args) == 1:
-                yield 'unit', begin, end, _operand(source, node.args[0])
-        elif isinstance(node, ast.BinOp):
-            yield from _arithmetic(source, node)
-
-
-def _flip(source: Source, node: ast.Compare) -> Iterator[Edit]:
-    sides = [node.left, *node.comparators]
-    for left, op, right in zip(sides, node.ops, sides[1:], strict=False):
-        word, other = _FLIPPED[type(op)]
-        after = source.span(left)[1]
-        at = source.data.find(word.encode(), after, source.span(right)[0])
-        if at >= 0:
-            yield 'comparison', at, at + len(word), other
-
-
-def _arithmetic(source: Source, node: ast.BinOp) -> Iterator[Edit]:
-    begin, end = source.span(node)
-    if isinstance(node.op, ast.Add | ast.Sub):
-        if any(isinstance(part, _TEXT) or isinstance(getattr(part, 'value', None), str)
-               for part in ast.walk(node)):
-            return
-        word, other = ('+', '-') if isinstance(node.op, ast.Add) else ('-', '+')
-        at = source.data.find(word.encode(), source.span(node.left)[1], end)
-        yield 'sign', at, at + 1, other
-    elif isinstance(node.op, ast.Mult | ast.Div | ast.FloorDiv):
-        for factor, kept in ((node.right, node.left), (node.left, node.right)):
-            name = getattr(factor, 'attr', getattr(factor, 'id', ''))
-            if getattr(factor, 'value', None) in _UNITS or _UNIT_NAME.search(name):
-                yield 'unit', begin, end, _operand(source, kept)
-                return
-
-
-def _operand(source: Source, node: ast.expr) -> str:
-    begin, end = source.span(node)
-    text = source.data[begin:end].decode()
-    return f'({text})' if isinstance(node, ast.BinOp | ast.UnaryOp | ast.IfExp) else text
-
-
-def draw(before: Path, seed: int, each: int) -> Iterator[Fault]:
-    """Faults in functions that are the same in another checkout, too.
-
-    Args:
-        before: the other checkout.
-        seed: of the choice.
-        each: number of each kind in each room; each in another function.
-    """
-    folders = [folder for room in ROOMS.values() for folder in room]
-    known = Counter(textwrap.dedent(source.text(function)) for source in sources(before, folders)
-                    for function in source.functions.values())
-    for room in ROOMS:
-        choice = random.Random(f'{seed} {room}')
-        places = [
-            (source, name) for source in sources(Path.cwd(), ROOMS[room])
-            for name, function in source.functions.items()
-            if known[textwrap.dedent(source.text(function))] == 1
-        ]
-        choice.shuffle(places)
-        for kind in sorted(KINDS, key=lambda kind: kind != 'unit'):  # the rarest chooses first
-            found = 0
-            for place in list(places):
-                fault = _draw_one(choice, place[0], place[1], room, kind, found + 1)
-                if fault is not None and found < each:
-                    found += 1
-                    places.remove(place)
-                    yield fault
-
-
-def _draw_one(
-    choice: random.Random, source: Source, name: str, room: str, kind: str, number: int,
-) -> Fault | None:
-    function = source.functions[name]
-    fitting = [edit for edit in edits(source, function) if edit[0] == kind]
-    if not fitting:
-        return None
-    _, begin, end, text = choice.choice(fitting)
-    first, last = source.lines(begin, end)
-    old = source.data[first:last].decode()
-    new = (source.data[first:begin] + text.encode() + source.data[end:last]).decode()
-    if source.text(function).count(old) != 1:
-        return None
-    return Fault(f'{room}, {kind} {number}', room, kind, source.path, name, old, new)
+            yield Source(file, file.relative_to(tree / PACKAGE).as_posix())
 
 
 def places(faults: Sequence[Fault]) -> dict[str, tuple[Source, Function]]:
@@ -348,8 +216,8 @@ def _statement(source: Source, function: Function, at: int) -> int:
         if isinstance(node, ast.stmt) and node is not function:
             begin, end = source.span(node)
             line, _ = source.lines(begin, begin)
-            first = source.data[line:begin].strip() == b'' and source.data[begin:begin + 4] != b'elif'
-            if first and line <= at < end:
+            first = source.data[line : begin + 4].lstrip(b' ')[:4]
+            if first == source.data[begin : begin + 4] != b'elif' and line <= at < end:
                 best = max(best, line)
     return best
 
@@ -362,9 +230,9 @@ def run_tests(
     order, results = (WORK / 'order.json').resolve(), (WORK / 'ended.jsonl').resolve()
     order.write_text(json.dumps(list(tests)))
     results.write_text('')
-    code = f'import sys; sys.path.insert(0, {str(HERE)!r}); import chosen_tests; chosen_tests.main()'
-    words = [sys.executable, '-c', code, str(order), str(results), '-q', '-p', 'no:cacheprovider',
-             '-p', 'no:randomly', f'--timeout={_TEST_S}', *arguments, *files]
+    code = f'sys.path.insert(0, {str(HERE)!r}); import chosen_tests; chosen_tests.main()'
+    words = [sys.executable, '-c', f'import sys; {code}', str(order), str(results), '-q',
+             '-p', 'no:cacheprovider', f'--timeout={_TEST_S}', *arguments, *files]
     with (WORK / 'pytest.log').open('wb') as log:
         child = subprocess.Popen(words, stdout=log, stderr=log, start_new_session=True,
                                  env={**os.environ, 'ROS_PYTHON_CHECK_FIELDS': '1'})
@@ -396,6 +264,7 @@ def find_reach(faults: Sequence[Fault], suite: str, arguments: Sequence[str]) ->
         link.unlink()
     with changed(probed(faults, folder)):
         ended = run_tests((), arguments or ['tests'], _marks(suite), 4 * 3600)
+    room_of = {fault.name: fault.room for fault in faults}
     tests: Counter[str] = Counter()
     for one in ended:
         tests[one['test']] += one['duration_s']
@@ -406,15 +275,19 @@ def find_reach(faults: Sequence[Fault], suite: str, arguments: Sequence[str]) ->
         test, _, part = os.readlink(link).rpartition(' ')
         if part == '(call)':
             direct[name].add(test)
-        elif test == 'at':
-            files[name].update(
-                one['test'].partition('::')[0] for one in ended
-                if one['end_s'] - one['duration_s'] - 1 <= float(part) <= one['end_s'] + 1
-            )
+        elif test == 'at':  # before, or beside, the tests: when a module is imported, in a child
+            at_s, rooms = float(part), ROOMS[room_of[name]]
+            running = {one['test'].partition('::')[0] for one in ended
+                       if one['end_s'] - one['duration_s'] - 1 <= at_s <= one['end_s'] + 1}
+            files[name].update(running or {
+                file for file in (test.partition('::')[0] for test in tests)
+                if file.split('/')[1] in rooms
+            })
         else:
             files[name].add(test.partition('::')[0])
     return {
-        'tests': tests, 'failed': sorted({one['test'] for one in ended if one['outcome'] == 'failed'}),
+        'tests': tests,
+        'failed': sorted({one['test'] for one in ended if one['outcome'] == 'failed'}),
         'direct': {name: sorted(found) for name, found in direct.items()},
         'files': {name: sorted(found) for name, found in files.items()},
     }
@@ -485,26 +358,48 @@ def write_faults(faults: Sequence[Fault], file: Path) -> None:
     file.write_text(''.join(json.dumps(dataclasses.asdict(one)) + '\n' for one in faults))
 
 
+def take_up(file: Path, results: Sequence[Path]) -> None:
+    """Note in the file of the faults what has caught them."""
+    faults = {fault.name: fault for fault in read_faults(file)}
+    for line in (line for one in results for line in one.read_text().splitlines()):
+        found = json.loads(line)
+        fault = faults[found['name']]
+        faults[fault.name] = dataclasses.replace(
+            fault, caught={**fault.caught, found['suite']: found['caught']})
+    write_faults(list(faults.values()), file)
+
+
+def show(faults: Sequence[Fault]) -> None:
+    """Print the counts of each kind in each room, and what survived."""
+    counted = [fault for fault in faults if not fault.equivalent]
+    table = make_table(['room', 'fault'], ['faults', 'fast', 'both', 'missed', 'caught before'])
+    for room, kind in [*((room, kind) for room in ROOMS for kind in KINDS), ('all', '')]:
+        here = [one for one in counted if room == 'all' or (one.room, one.kind) == (room, kind)]
+        fast = sum(bool(fault.caught.get('fast')) for fault in here)
+        missed = [fault for fault in here
+                  if not (fault.caught.get('fast') or fault.caught.get('nightly'))]
+        before = sum(bool(fault.caught.get('before')) for fault in missed)
+        table.add_row(room, kind, *map(str, (len(here), fast, len(here) - len(missed), len(missed),
+                                             before)))
+    console = page_console()
+    console.print(table)
+    for fault in counted:
+        if not fault.caught.get('fast'):
+            console.print(f'{fault.name}: {fault.path}: {fault.function}: {dict(fault.caught)}')
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command."""
     parser = options(__doc__)
-    parser.add_argument('command', choices=('draw', 'reach', 'run', 'table'))
+    parser.add_argument('command', choices=('reach', 'run', 'table'))
     parser.add_argument('words', nargs='*', metavar='WORD', help=(
-        'draw: checkout of the earlier commit; reach: test files, else all; run: names of faults, '
-        'or their beginnings, else all; table: files of results to take up'))
+        'reach: test files, else all; run: names of faults, or their beginnings, else all; table: '
+        'files of results to take up'))
     parser.add_argument('--suite', choices=SUITES, default='fast')
     parser.add_argument('--faults', type=Path, default=FAULTS, metavar='FILE')
-    parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--each', type=count, default=3, metavar='N',
-                        help='draw: faults of each kind in each room')
     parser.add_argument('--skip', action='append', default=[], metavar='TEST',
                         help='run: a test that fails without faults, too')
     given = parser.parse_args(arguments)
-    if given.command == 'draw':
-        if len(given.words) != 1:
-            raise UsageError('draw: name one checkout')
-        write_faults(list(draw(Path(given.words[0]), given.seed, given.each)), given.faults)
-        return ExitCode.OK
     faults = [fault for fault in read_faults(given.faults) if not fault.equivalent]
     reach_file = WORK / f'reach_{given.suite}.json'
     if given.command == 'reach':
@@ -526,3 +421,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         take_up(given.faults, [Path(word) for word in given.words])
         show(read_faults(given.faults))
     return ExitCode.OK
+
+
+if __name__ == '__main__':
+    leave(main)
