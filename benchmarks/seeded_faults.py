@@ -301,8 +301,8 @@ def _marks(suite: str) -> list[str]:
 def batches(fault: Fault, reach: Mapping[str, Any]) -> Iterator[list[str]]:
     """Tests to run for a fault, those first that are quick and about its room.
 
-    Last come the tests that do not reach it but share a file, and so what is made once for a file,
-    with some that do.
+    Last come others of the room's files, and of files whose fixtures reach it: what is made once
+    for a file is used by more tests than reach it.
     """
     times: Mapping[str, float] = reach['tests']
     direct = [test for test in reach['direct'].get(fault.name, ()) if test in times]
@@ -319,11 +319,12 @@ def batches(fault: Fault, reach: Mapping[str, Any]) -> Iterator[list[str]]:
             if spent + times[test] <= _QUICK_S or not quick:
                 quick.append(test)
                 spent += times[test]
-    reached = {*files, *reach['files'].get(fault.name, ())}
+    shared = {*reach['files'].get(fault.name, ()), *(
+        file for file in files if file.split('/')[1] in rooms)}
     done = set(quick)
     for batch in (
         quick, [test for file in files for test in by_file[file] if test not in done],
-        sorted((test for test in times if test.partition('::')[0] in reached - {''}
+        sorted((test for test in times if test.partition('::')[0] in shared
                 and test not in direct), key=lambda test: test.partition('::')[0]),
     ):
         if batch:
@@ -400,6 +401,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--skip', action='append', default=[], metavar='TEST',
                         help='run: a test that fails without faults, too')
     given = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(ExitCode.INFRA))  # having put back the file
     faults = [fault for fault in read_faults(given.faults) if not fault.equivalent]
     reach_file = WORK / f'reach_{given.suite}.json'
     if given.command == 'reach':
