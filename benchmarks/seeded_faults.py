@@ -14,6 +14,7 @@ import dataclasses
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -44,6 +45,8 @@ _QUICK_S, _QUICKEST = 30.0, 3
 """Tried first: tests of about this time [s], so many of a file."""
 _TEST_S = 600
 """Time limit of one test [s]."""
+_MEMORY_BYTES = 4 << 30
+"""What a process may fill: a fault can have one grow without end."""
 _REACHED = 'reached.py'
 _PROBE = """\
 import os
@@ -412,6 +415,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not reach_file.exists():
             raise UsageError(f'{reach_file}: there is none; first: reach --suite {given.suite}')
         reach = json.loads(reach_file.read_text())
+        resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY_BYTES, _MEMORY_BYTES))
         for fault in faults:
             if not given.words or fault.name.startswith(tuple(given.words)):
                 found = {'name': fault.name, 'suite': given.suite,
