@@ -304,8 +304,8 @@ def _marks(suite: str) -> list[str]:
 def batches(fault: Fault, reach: Mapping[str, Any]) -> Iterator[list[str]]:
     """Tests to run for a fault, those first that are quick and about its room.
 
-    Last come others of the room's files, and of files whose fixtures reach it: what is made once
-    for a file is used by more tests than reach it.
+    Last come all of files whose fixtures reach it, and of the folder of tests with its module's
+    name: what is made once, or done in a process that serves several tests, is noted for one test.
     """
     times: Mapping[str, float] = reach['tests']
     direct = [test for test in reach['direct'].get(fault.name, ()) if test in times]
@@ -322,8 +322,10 @@ def batches(fault: Fault, reach: Mapping[str, Any]) -> Iterator[list[str]]:
             if spent + times[test] <= _QUICK_S or not quick:
                 quick.append(test)
                 spent += times[test]
+    folder = f'tests/{fault.path.rpartition("/")[0]}'
     shared = {*reach['files'].get(fault.name, ()), *(
-        file for file in files if file.split('/')[1] in rooms)}
+        test.partition('::')[0] for test in times
+        if test.partition('::')[0].rpartition('/')[0] == folder)}
     done = set(quick)
     for batch in (
         quick, [test for file in files for test in by_file[file] if test not in done],
