@@ -37,14 +37,17 @@ from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.study.stages.config import read_config
 from taxinet_ros.study.stages.plan import stages
 from taxinet_ros.study.stages.record import open_study
-from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.run import StoppedError, StudyRun
 
 found = [stage for stage in stages(read_config(Path('mine.yaml'))) if stage.name == 'evaluate-best']
 sys.stdout.reconfigure(line_buffering=True)
 with open_study(Path('study'), print) as record:
     run = StudyRun(
         Path('study'), found, record=record, work=call_stage, workers=1, show=print)
-    sys.exit(run.run())
+    try:
+        run.run()
+    except StoppedError as stopped:
+        sys.exit(stopped.code)
 """
 
 

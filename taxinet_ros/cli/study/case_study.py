@@ -32,7 +32,7 @@ from taxinet_ros.study.stages.config import (
 from taxinet_ros.study.stages.plan import stages, stages_until
 from taxinet_ros.study.stages.progress import list_lines, study_heading
 from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options, read_stages
-from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import with_engine
 
 _COMMAND = 'case-study'
@@ -145,9 +145,13 @@ def run_case_study(
         record.put(OPTIONS, _COMMAND, dataclasses.asdict(study))
         show(study_heading(study, wanted, out))
         show(f'every stage runs in {out}')
-        return StudyRun(
-            out, wanted, record=record, work=call_stage, workers=study.workers, show=show,
-        ).run()
+        run = StudyRun(
+            out, wanted, record=record, work=call_stage, workers=study.workers, show=show)
+        try:
+            run.run()
+        except StoppedError as stopped:
+            return stopped.code
+    return ExitCode.OK
 
 
 def _begun(out: Path, option: str) -> StudyConfig:

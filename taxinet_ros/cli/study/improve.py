@@ -27,10 +27,10 @@ from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.study.improve.acceptance import Decision
-from taxinet_ros.study.improve.loop import BEST, START, Improvement, Round
+from taxinet_ros.study.improve.loop import BEST, START, Round, improve_network
 from taxinet_ros.study.improve.options import ImproveOptions
 from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
-from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 
 ROUNDS_NAME = 'rounds.json'
@@ -137,23 +137,23 @@ def _run(
         )
         show(f'every stage runs in {out}')
 
-        def run_stages(stages: Sequence[Stage]) -> int:
-            return StudyRun(
+        def run_stages(stages: Sequence[Stage]) -> None:
+            StudyRun(
                 out, with_engine(stages, engine, audit, where), record=record, work=call_stage,
                 workers=options.workers, show=show,
             ).run()
 
-        def show_round(done: Round) -> None:
-            rounds.append(done.to_json())
-            record.put('round', str(done.number), rounds[-1])
-            write_atomically(out / ROUNDS_NAME, json.dumps(rounds, indent=2) + '\n')
-            for line in ('', *round_lines(done, options.rounds)):
-                show(line)
-
-        code = Improvement(out, options, run_stages, show_round).run()
-    if code == ExitCode.OK:
-        show(f'network: {out / BEST}; decisions of the rounds: {out / ROUNDS_NAME}')
-    return code
+        try:
+            for done in improve_network(out, options, run_stages):
+                rounds.append(done.to_json())
+                record.put('round', str(done.number), rounds[-1])
+                write_atomically(out / ROUNDS_NAME, json.dumps(rounds, indent=2) + '\n')
+                for line in ('', *round_lines(done, options.rounds)):
+                    show(line)
+        except StoppedError as stopped:
+            return stopped.code
+    show(f'network: {out / BEST}; decisions of the rounds: {out / ROUNDS_NAME}')
+    return ExitCode.OK
 
 
 def _begun(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -22,9 +21,9 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.study.stages.record import OPTIONS, STAGE, open_study
-from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
-from taxinet_ros.study.why.investigation import Investigation, StoppedError, kind_of
+from taxinet_ros.study.why.investigation import Investigation, kind_of
 from taxinet_ros.study.why.plan import Budget
 from taxinet_ros.study.why.report import (
     JSON_NAME,
@@ -97,13 +96,7 @@ def _run(
         raise UsageError(f'--out {out}: contains something else; choose another folder')
     make_out(out)
 
-    warned: set[str] = set()
-
     def show(line: str) -> None:
-        # Every sitting of the stages would say again that others were made elsewhere.
-        if line.startswith('begun ') and line in warned:
-            return
-        warned.add(line)
         console.print(line, soft_wrap=True, markup=False)
 
     show(f'why {kind} {subject}: at most about {budget.runs} runs -> {_near(out)}')
@@ -111,13 +104,14 @@ def _run(
         _claim(record, out, path)
         (out / 'logs').mkdir(exist_ok=True)
 
-        def run_stages(stages: Sequence[Stage]) -> tuple[int, Mapping[str, str]]:
+        def run_stages(stages: Sequence[Stage]) -> Mapping[str, str]:
             sitting = StudyRun(
                 out, with_engine(stages, engine, audit, where), record=record,
                 work=call_stage, workers=workers, show=show, folder=Path.cwd(),
                 logs=out / 'logs', again='the same command',
             )
-            return sitting.run(), sitting.refused
+            sitting.run()
+            return sitting.refused
 
         work = Investigation(
             path=path, out=out, perception=perception, budget=budget,
@@ -157,30 +151,15 @@ def _print(
 
 
 def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
-    campaign, kept = None, False
+    """What to do; paths below the current folder are as one would type them."""
     folder = path if kind == 'campaign' else path.parent
-    if is_campaign(folder):
-        campaign = Path(_near(folder))
-        recorded = open_campaign(folder)
-        kept = any(recorded.bag(row) is not None for row in recorded.counterexamples)
-    shown = _with_near_paths(evidence)
-    return tuple(actions(
-        shown, verdict.fault, campaign=campaign, kept_bags=kept,
-    ))
-
-
-def _with_near_paths(evidence: Evidence) -> Evidence:
-    """The evidence with paths as one would type them."""
-    causes = tuple(
-        replace(
-            cause, program=cause.program and Path(_near(cause.program)),
-            bag=cause.bag and Path(_near(cause.bag)),
-        ) for cause in evidence.causes
-    )
-    return replace(
-        evidence, causes=causes, subject=_near(Path(evidence.subject)),
-        scenes=evidence.scenes and Path(_near(evidence.scenes)),
-        base=evidence.base and Path(_near(evidence.base)),
+    campaign = open_campaign(folder) if is_campaign(folder) else None
+    kept = campaign is not None and any(map(campaign.bag, campaign.counterexamples))
+    here = f'{Path.cwd()}/'
+    return tuple(
+        Action(words=one.words, commands=tuple(line.replace(here, '') for line in one.commands))
+        for one in actions(
+            evidence, verdict.fault, campaign=None if campaign is None else folder, kept_bags=kept)
     )
 
 

@@ -12,7 +12,7 @@ reason, and ``best.safetensors`` with its card.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,6 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.core.perception.weights import card_path, load_model
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.improve.acceptance import Decision, decide
@@ -33,87 +32,9 @@ from taxinet_ros.study.stages.stage import Stage, analysis_stage, campaign_stage
 
 START = 'start.safetensors'
 """The initial network, copied so that the folder contains everything the loop depends on."""
-
-
-def falsify_name(number: int) -> str:
-    """Folder of the campaign that searches for failures in a round."""
-    return f'round-{number}-falsify'
-
-
-def incumbent_name(number: int) -> str:
-    """Folder of the incumbent's runs on the evaluation scenes."""
-    return f'round-{number}-incumbent'
-
-
-def candidate_name(number: int) -> str:
-    """Folder of the candidate's runs on the same scenes."""
-    return f'round-{number}-candidate'
-
-
-def analyze_name(number: int) -> str:
-    """Folder of the analysis of the failures."""
-    return f'round-{number}-analyze'
-
-
-def candidate_weights(number: int) -> str:
-    """Weights file that a round trains."""
-    return f'round-{number}-train/candidate.safetensors'
-
-
-def search_stage(options: ImproveOptions, number: int, incumbent: str) -> Stage:
-    """Stage that searches for failures of the incumbent."""
-    return _campaign(
-        options, falsify_name(number), incumbent, options.sampler,
-        options.seed_of(number, FALSIFY),
-    )
-
-
-def round_stages(
-    options: ImproveOptions, number: int, incumbent: str, campaigns: Sequence[str]
-) -> tuple[Stage, ...]:
-    """Stages that group the failures, train on them, and run both networks on unseen scenes.
-
-    Args:
-        options: options of the loop.
-        number: number of the round, from 1.
-        incumbent: weights file of the best network so far.
-        campaigns: folders with failed runs, this round's last.
-    """
-    seed = options.seed_of(number, JUDGE)
-    return (
-        analysis_stage(analyze_name(number), falsify_name(number)),
-        _training(options, number, incumbent, campaigns),
-        _campaign(options, incumbent_name(number), incumbent, 'random', seed),
-        _campaign(options, candidate_name(number), candidate_weights(number), 'random', seed),
-    )
-
-
-def _campaign(
-    options: ImproveOptions, name: str, weights: str, sampler: str, seed: int
-) -> Stage:
-    return campaign_stage(
-        name, options.program, sampler=sampler, seed=seed, runs=options.runs,
-        workers=options.workers, weights=weights,
-    )
-
-
-def _training(
-    options: ImproveOptions, number: int, incumbent: str, campaigns: Sequence[str]
-) -> Stage:
-    return training_stage(
-        candidate_weights(number), options.base, learning_rate=options.learning_rate,
-        start=incumbent, varied=options.varied, add=options.add,
-        add_runs=[f'{campaign}={options.counterexamples}' for campaign in campaigns],
-        images=options.images, validation=options.validation,
-        epochs=options.epochs, seed=options.seed_of(number, TRAIN), workers=options.workers,
-        inputs=(incumbent, *(f'{campaign}/{PARQUET_NAME}' for campaign in campaigns)),
-        programs=[text.rpartition('=')[0] for text in options.add],
-    )
-
-
 BEST = 'best.safetensors'
-RunStages = Callable[[Sequence[Stage]], int]
-"""Runs the unfinished ones of some stages and returns their exit code."""
+RunStages = Callable[[Sequence[Stage]], None]
+"""Runs the unfinished ones of some stages; raises :class:`.StoppedError` if one is not done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,82 +70,103 @@ class Round:
         }
 
 
-class Improvement:
-    """The loop; finished stages are kept, so the same call continues an interrupted loop."""
+def improve_network(
+    out: Path, options: ImproveOptions, run_stages: RunStages
+) -> Iterator[Round]:
+    """Yield rounds until all are done or no run fails; then write the best network.
 
-    def __init__(
-        self, out: Path, options: ImproveOptions, run_stages: RunStages,
-        on_round: Callable[[Round], None],
-    ) -> None:
-        """Prepare the loop; nothing is started yet.
+    Finished stages are kept, so the same call continues an interrupted loop.
 
-        Args:
-            out: folder of the loop.
-            options: options of the loop.
-            run_stages: runs stages.
-            on_round: called with each finished round.
-        """
-        self._out = out
-        self._options = options
-        self._run_stages = run_stages
-        self._on_round = on_round
-        self._incumbent = START
+    Args:
+        out: folder of the loop.
+        options: options of the loop.
+        run_stages: runs stages.
 
-    def run(self) -> int:
-        """Run rounds until all are done or no run fails.
+    Raises:
+        UsageError: a network, program or folder cannot be used.
+        StoppedError: a stage was interrupted or broke.
+    """
+    incumbent = START
+    _copy(options.start_path, out / START)
+    for number in range(1, options.rounds + 1):
+        done = _round(out, options, number, incumbent, run_stages)
+        yield done
+        if done.decision is None:
+            break
+        if done.decision.accepted:
+            incumbent = _candidate(number)
+    _copy(out / incumbent, out / BEST)
 
-        Returns:
-            Exit code: 0 if done, else that of the stage that stopped.
 
-        Raises:
-            UsageError: a network, program or folder cannot be used.
-        """
-        _copy(self._options.start_path, self._out / START)
-        for number in range(1, self._options.rounds + 1):
-            code, done = self._round(number)
-            if done is None:
-                return code
-            self._on_round(done)
-            if done.decision is None:
-                break
-            if done.decision.accepted:
-                self._incumbent = candidate_weights(number)
-        _copy(self._out / self._incumbent, self._out / BEST)
-        return ExitCode.OK
+def _round(
+    out: Path, options: ImproveOptions, number: int, incumbent: str, run_stages: RunStages
+) -> Round:
+    def judged(what: str) -> Sequence[RunRow]:
+        return open_campaign(out / _name(number, what)).judged
 
-    def _round(self, number: int) -> tuple[int, Round | None]:
-        """Perform a round; return its exit code, and the round unless a stage stopped it."""
-        options, incumbent = self._options, self._incumbent
-        if code := self._run_stages([search_stage(options, number, incumbent)]):
-            return code, None
-        found = self._judged(falsify_name(number))
-        failed = sum(row.outcome is Outcome.FAIL for row in found)
-        fingerprint = load_model(self._out / incumbent).fingerprint
-        if not failed:
-            return 0, Round(number=number, incumbent=fingerprint, searched=len(found), failed=0)
-        campaigns = [
-            falsify_name(earlier) for earlier in range(1, number + 1)
-        ]
-        if code := self._run_stages(round_stages(options, number, incumbent, campaigns)):
-            return code, None
-        analysis = self._analysis(number)
-        return 0, Round(
-            number=number, incumbent=fingerprint, searched=len(found), failed=failed,
-            causes=_words(analysis['causes']), clusters=_words(analysis['clusters']),
-            candidate=load_model(self._out / candidate_weights(number)).fingerprint,
-            decision=decide(
-                self._judged(incumbent_name(number)), self._judged(candidate_name(number)),
-                options.alpha, margin=options.margin, place_margin=options.place_margin,
-                causes=_regions(analysis['causes']),
-            ),
-        )
+    run_stages([_search(options, number, incumbent)])
+    found = judged('falsify')
+    failed = sum(row.outcome is Outcome.FAIL for row in found)
+    before = load_model(out / incumbent).fingerprint
+    if not failed:
+        return Round(number=number, incumbent=before, searched=len(found), failed=0)
+    run_stages(_rest(options, number, incumbent))
+    analysis = read_sealed(out / _name(number, 'analyze') / 'analysis.json').values
+    return Round(
+        number=number, incumbent=before, searched=len(found), failed=failed,
+        causes=_words(analysis['causes']), clusters=_words(analysis['clusters']),
+        candidate=load_model(out / _candidate(number)).fingerprint,
+        decision=decide(
+            judged('incumbent'), judged('candidate'), options.alpha, margin=options.margin,
+            place_margin=options.place_margin, causes=_regions(analysis['causes']),
+        ),
+    )
 
-    def _judged(self, campaign: str) -> Sequence[RunRow]:
-        return open_campaign(self._out / campaign).judged
 
-    def _analysis(self, number: int) -> Mapping[str, Any]:
-        path = self._out / analyze_name(number) / 'analysis.json'
-        return read_sealed(path).values
+def _search(options: ImproveOptions, number: int, incumbent: str) -> Stage:
+    """Stage that searches for failures of the incumbent."""
+    return _campaign(
+        options, _name(number, 'falsify'), incumbent, options.seed_of(number, FALSIFY),
+        options.sampler,
+    )
+
+
+def _rest(options: ImproveOptions, number: int, incumbent: str) -> tuple[Stage, ...]:
+    """Stages that group the failures, train on them, and run both networks on unseen scenes."""
+    seed = options.seed_of(number, JUDGE)
+    campaigns = [_name(one, 'falsify') for one in range(1, number + 1)]
+    return (
+        analysis_stage(_name(number, 'analyze'), campaigns[-1]),
+        training_stage(
+            _candidate(number), options.base, learning_rate=options.learning_rate,
+            start=incumbent, varied=options.varied, add=options.add,
+            add_runs=[f'{campaign}={options.counterexamples}' for campaign in campaigns],
+            images=options.images, validation=options.validation, epochs=options.epochs,
+            seed=options.seed_of(number, TRAIN), workers=options.workers,
+            inputs=(incumbent, *(f'{campaign}/{PARQUET_NAME}' for campaign in campaigns)),
+            programs=[text.rpartition('=')[0] for text in options.add],
+        ),
+        _campaign(options, _name(number, 'incumbent'), incumbent, seed),
+        _campaign(options, _name(number, 'candidate'), _candidate(number), seed),
+    )
+
+
+def _campaign(
+    options: ImproveOptions, name: str, weights: str, seed: int, sampler: str = 'random'
+) -> Stage:
+    return campaign_stage(
+        name, options.program, sampler=sampler, seed=seed, runs=options.runs,
+        workers=options.workers, weights=weights,
+    )
+
+
+def _name(number: int, what: str) -> str:
+    return f'round-{number}-{what}'
+
+
+def _candidate(number: int) -> str:
+    """Weights file that a round trains."""
+    return f'{_name(number, "train")}/candidate.safetensors'
 
 
 def _words(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:

@@ -85,7 +85,8 @@ Stages = Mapping[str, StageRecord]
 def open_study(out: Path, show: Callable[[str], None]) -> Iterator[Record]:
     """Context of the open record of a study, for one command at a time.
 
-    Of a damaged one the intact entries are kept; the stages that it lacks are made again.
+    Of a damaged one the intact entries are kept; the stages that it lacks are made again. If stages
+    were made on another machine or version, a line says so.
 
     Args:
         out: folder of the study.
@@ -100,6 +101,8 @@ def open_study(out: Path, show: Callable[[str], None]) -> Iterator[Record]:
     with Record(path) as record:
         if record.entries.keys() & {STAGE, OPTIONS}:
             repaired(record)
+            if warning := stack_warning(read_stages(out)):
+                show(warning)
         yield record
 
 

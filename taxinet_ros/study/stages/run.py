@@ -21,12 +21,20 @@ from taxinet_ros.study.stages.progress import (
     stage_line,
     state_of,
 )
-from taxinet_ros.study.stages.record import STAGE, StageRecord, read_stages, stack_warning
+from taxinet_ros.study.stages.record import STAGE, StageRecord, read_stages
 from taxinet_ros.study.stages.stage import Resume, Stage
 
 Work = Callable[[Stage, bool], int]
 """Calls the function of a stage, to go on with it or not; its exit code."""
 _INTERRUPTED = (ExitCode.INTERRUPTED, ExitCode.TERMINATED)
+
+
+class StoppedError(Exception):
+    """A stage is not done; ``code`` is the exit code of the command."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
 
 
 class StudyRun:
@@ -66,19 +74,15 @@ class StudyRun:
         self._show = show
         self._records = read_stages(out)
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the unfinished stages.
 
-        Returns:
-            Exit code: 0 if all are done, 130 if interrupted, else that of the failed stage.
-
         Raises:
+            StoppedError: a stage was interrupted, or has failed.
             UsageError: a stage cannot be started.
             RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
-        if warning := stack_warning(self._records):
-            self._show(warning)
         self._began = time.monotonic()
         for number, stage in enumerate(self._stages, 1):
             state = state_of(stage, self._records, self._out)
@@ -86,10 +90,8 @@ class StudyRun:
                 took = clock(self._records[stage.name].wall_s)
                 self._show(f'[{number}/{len(self._stages)}] {stage.name}: done, kept ({took})')
                 continue
-            code = self._stage(number, stage, state)
-            if code:
-                return code
-        return ExitCode.OK
+            if code := self._stage(number, stage, state):
+                raise StoppedError(code)
 
     def _check_runs(self) -> None:
         """Check that no campaign would shrink; none is discarded."""

@@ -56,7 +56,7 @@ from taxinet_ros.core.verdict.judge import describe_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
-from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import read_sealed
@@ -99,16 +99,8 @@ _RIG = (AIRCRAFT_MODEL, CAMERA, *CAMERA_OFFSETS)
 _PROGRAM, _BASE = 'scenes.scenic', 'training.scenic'
 _NO_TRUTH = 'the runs were driven by the truth, so there is no network to examine'
 
-RunStages = Callable[[Sequence[Stage]], tuple[int, Mapping[str, str]]]
-"""Runs the unfinished ones of some stages; their exit code, and why some were refused."""
-
-
-class StoppedError(Exception):
-    """A stage did not end; ``code`` is its exit code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
+RunStages = Callable[[Sequence[Stage]], Mapping[str, str]]
+"""Runs the unfinished ones of some stages; why some were refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +174,7 @@ class Investigation:
             ))
         except UsageError as error:
             troubles[LOCALIZE] = str(error)
-        troubles |= self._stages(stages)
+        troubles |= self.run_stages(stages)
         troubles |= self._why_no_causes()
         blames = None if LOCALIZE in troubles else self._blames(campaign)
         causes = self._causes()
@@ -224,11 +216,10 @@ class Investigation:
 
     def _causes(self) -> tuple[CauseEvidence, ...]:
         """The causes that the analysis found; all failures as one if it found none."""
-        values = read_sealed(self.out / ANALYZE / 'analysis.json').values
         frame = pd.read_parquet(self.out / ANALYZE / PARQUET_NAME)
         failures = frame[frame['failed']].sort_values(['rho', 'index'], kind='stable')
         found = []
-        for cause in values['causes']:
+        for cause in self._analysis()['causes']:
             program = self.out / ANALYZE / f'cause-{cause["rank"]}.scenic'
             found.append(self._worst(failures[failures['cause'] == cause['rank']],
                 CauseEvidence(
@@ -251,9 +242,11 @@ class Investigation:
         return replace(cause, run_id=first)
 
     def _why_no_causes(self) -> dict[str, str]:
-        path = self.out / ANALYZE / 'analysis.json'
-        values = read_sealed(path).values
-        return {CAUSES: str(values['causes_why_not'])} if values['causes_why_not'] else {}
+        why_not = self._analysis()['causes_why_not']
+        return {CAUSES: str(why_not)} if why_not else {}
+
+    def _analysis(self) -> Mapping[str, Any]:
+        return read_sealed(self.out / ANALYZE / 'analysis.json').values
 
     def _blames(self, campaign: RecordedCampaign) -> Blames:
         """The trials by what is at fault; those of the controller by their first sample."""
@@ -295,7 +288,7 @@ class Investigation:
                 self.path / first[0].run_id, self.out, runs=self.budget.shrunk,
                 workers=self.workers, perception=TRUTH if alone else network,
             ))
-        troubles |= self._stages(stages)
+        troubles |= self.run_stages(stages)
         return (*(self._explained(cause) for cause in first), *causes[MOST_CAUSES:])
 
     def _explained(self, cause: CauseEvidence) -> CauseEvidence:
@@ -321,8 +314,8 @@ class Investigation:
                 return found
         if not cause.rank:
             return None
-        values = read_sealed(self.out / ANALYZE / 'analysis.json').values
-        parts = next(one['region'] for one in values['causes'] if one['rank'] == cause.rank)
+        parts = next(
+            one['region'] for one in self._analysis()['causes'] if one['rank'] == cause.rank)
         return region_change(Region(parts=tuple(map(part_of, parts))))
 
     def _tested(
@@ -362,7 +355,7 @@ class Investigation:
             ))
             stages.append(confirm_stage(
                 file, self.out, cause.rank, scenes=scenes, workers=self.workers))
-        refused = self._stages(stages)
+        refused = self.run_stages(stages)
         troubles |= refused
         if refused and CONFIRM not in troubles:
             troubles[CONFIRM] = next(iter(refused.values()))
@@ -429,7 +422,7 @@ class Investigation:
                 self.path, self.out, runs=self.budget.shrunk, workers=self.workers,
                 perception=TRUTH if alone else network,
             ))
-            troubles |= self._stages(stages)
+            troubles |= self.run_stages(stages)
             cause = self._explained(cause)
             program = self.out / _PROGRAM
             write_atomically(program, near_program(run.scenario, run.run_id))
@@ -494,12 +487,6 @@ class Investigation:
         doomed = violated_at_start(run.scenario, bench.judging, world)
         return Blames(requirement=int(doomed), controller=int(not doomed))
 
-    def _stages(self, stages: Sequence[Stage]) -> dict[str, str]:
-        """Run stages; why some were refused, by name."""
-        code, refused = self.run_stages(stages)
-        if code != ExitCode.OK:
-            raise StoppedError(code)
-        return dict(refused)
 
 
 def kind_of(path: Path) -> str:

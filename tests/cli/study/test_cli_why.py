@@ -24,7 +24,6 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.stage import with_engine
 from taxinet_ros.study.why.investigation import (
     Investigation,
-    StoppedError,
     kind_of,
     shrink_sentences,
     unsatisfiable,
@@ -65,7 +64,7 @@ class Stages:
             except UsageError as error:
                 assert stage.optional, stage.name
                 refused[stage.name] = str(error)
-        return 0, refused
+        return refused
 
 
 def looked_into(path: Path, tmp_path: Path, **options):
@@ -209,16 +208,16 @@ def test_given_a_campaign_without_failures_then_nothing_is_run_and_the_verdict_s
     assert told['sentences'][0] in page.replace('&#39;', "'")
 
 
-def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(tmp_path):
+def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(
+    tmp_path, taxinet, monkeypatch
+):
     (tmp_path / 'found').mkdir()
     folder = recorded(tmp_path / 'found', [Outcome.PASS, Outcome.FAIL])
-    work = Investigation(
-        path=folder, out=tmp_path, perception=None, budget=Budget(runs=24), workers=1,
-        run_stages=lambda stages: (130, {}),
-    )
-    with pytest.raises(StoppedError) as stopped:
-        work.evidence()
-    assert stopped.value.code == 130
+    monkeypatch.setattr('taxinet_ros.cli.study.why.call_stage', lambda stage, resume: 130)
+    code, said, _ = taxinet('why', folder, '--out', tmp_path / 'why')
+    assert code == 130
+    assert said.endswith('interrupted in analyze; the same command goes on\n')
+    assert not (tmp_path / 'why' / 'why.html').exists()
 
 
 def test_what_is_neither_campaign_nor_run_is_refused_with_what_could_be_named(tmp_path):

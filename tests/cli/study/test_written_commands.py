@@ -111,7 +111,7 @@ def test_the_commands_of_why_and_analyze_have_everything_that_decided_the_runs(
     (tmp_path / 'why').mkdir()
     work = Investigation(
         path=tmp_path / 'found', out=tmp_path / 'why', perception=None, budget=Budget(runs=24),
-        workers=1, run_stages=lambda stages: (0, {}),
+        workers=1, run_stages=lambda stages: {},
     )
     found = work._with_scenes(_of_runs(runs, subject='found'), runs)
     assert f'of the scenes of {scenes_words}' in found.rate

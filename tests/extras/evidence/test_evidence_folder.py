@@ -22,7 +22,7 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.evidence import verify as verifying
 from taxinet_ros.extras.evidence.argument import goals, mermaid, parse_argument
 from taxinet_ros.extras.evidence.evidence import manifest_text
-from taxinet_ros.extras.evidence.verify import VerifyOptions, value_differences, verify
+from taxinet_ros.extras.evidence.verify import value_differences, verify
 from taxinet_ros.files.record import RECORD_NAME, Record
 
 TAXINET = Path(sys.executable).with_name('taxinet')
@@ -61,7 +61,7 @@ def proven(driven) -> Path:
 
 
 def verified(folder, **options):
-    return verify(VerifyOptions(folder=folder, **{'sample': 0, **options}))
+    return verify(folder, **{'sample': 0, **options})
 
 
 def made(tmp_path, *outcomes, out='evidence', **options):

@@ -13,8 +13,9 @@ from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.study.improve.loop import BEST, Improvement
+from taxinet_ros.study.improve.loop import BEST, improve_network
 from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
+from taxinet_ros.study.stages.run import StoppedError
 
 RUNS = 40
 
@@ -27,10 +28,10 @@ class Bench:
         self.done: list[str] = []
         self.commands: dict[str, tuple[str, ...]] = {}
 
-    def run(self, stages) -> int:
+    def run(self, stages) -> None:
         for stage in stages:
             if stage.name == self.stop_at:
-                return 130
+                raise StoppedError(130)
             assert stage.ready(self.out), stage.name
             self.commands[stage.name] = stage.words()
             if not (self.out / stage.name).exists():
@@ -38,7 +39,6 @@ class Bench:
                 self.done.append(stage.name)
                 self.leave(stage)
             assert stage.results(self.out).keys() == set(stage.outputs)
-        return 0
 
     def leave(self, stage) -> None:
         folder, word = self.out / stage.name, stage.command
@@ -82,8 +82,11 @@ def begun(tmp_path):
 
 def go(options: ImproveOptions, out: Path, bench: Bench):
     rounds = []
-    code = Improvement(out, options, bench.run, rounds.append).run()
-    return code, rounds
+    try:
+        rounds.extend(improve_network(out, options, bench.run))
+    except StoppedError as stopped:
+        return stopped.code, rounds
+    return 0, rounds
 
 
 def test_given_a_better_candidate_then_the_next_round_goes_on_from_it(begun):

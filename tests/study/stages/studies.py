@@ -20,7 +20,7 @@ from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.study.stages.config import StudyConfig, read_config, scaled, shipped_config
 from taxinet_ros.study.stages.plan import stages
 from taxinet_ros.study.stages.record import open_study, read_stages
-from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import Stage
 
 
@@ -45,7 +45,11 @@ def run_study(
             out, stages(config), record=record, work=work or stand_in, workers=2,
             show=lines.append,
         )
-        return run.run(), lines
+        try:
+            run.run()
+        except StoppedError as stopped:
+            return stopped.code, lines
+    return 0, lines
 
 
 def asked(out: Path) -> list[str]:
