@@ -16,7 +16,7 @@ import signal
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -458,24 +458,17 @@ def check_node(options: CheckOptions, say: Callable[[str], None]) -> Report:
         role = ROLES[options.role or 'perception']
         if options.start is None:
             say(f'waiting for your node on ROS domain {domain} (ROS_DOMAIN_ID={domain})')
-        with _stage(options, role, domain) as stage:
-            stage.find()
-            seems = ROLES[options.role] if options.role else stage.looks_like()
-            if seems is role:
-                return stage.drive()
-        with _stage(options, seems, domain) as stage:
-            stage.find()
-            return stage.drive()
-
-
-@contextlib.contextmanager
-def _stage(options: CheckOptions, role: Role, domain: int) -> Iterator[Stage]:
-    with NodeExecutor(domain) as spinning:
-        stage = Stage(options, role, domain, spinning)
-        try:
-            yield stage
-        finally:
-            stage.close()
+        known = options.role is not None
+        while True:
+            with (
+                NodeExecutor(domain) as spinning,
+                contextlib.closing(Stage(options, role, domain, spinning)) as stage,
+            ):
+                stage.find()
+                seems = role if known else stage.looks_like()
+                if seems is role:
+                    return stage.drive()
+            role, known = seems, True
 
 
 class SilenceError(Exception):
@@ -832,7 +825,7 @@ class Stage:
                 run = self._begin('strange')
                 self._await_ready(run)
                 question = Question(seq=0, truth=self._truth(0), kind=kind)
-                self._show(run, question, _image(change, self._picture(0)))
+                self._ask(run, question, image=_image(change, self._picture(0)))
                 self._finish()
         else:
             self._verdicts.skip('bad_input', 'does not use images')
@@ -881,24 +874,19 @@ class Stage:
             self._ask(run, Question(seq=seq, truth=self._truth(seq)))
         self._finish()
 
-    def _ask(self, run: Run, question: Question, estimate: TrackingError | None = None) -> None:
-        """Send a message and wait for its answer."""
-        self._put(run, question, estimate=estimate)
-        patience_s = self._options.patience_s
+    def _ask(
+        self, run: Run, question: Question, *, estimate: TrackingError | None = None,
+        image: Image | None = None,
+    ) -> None:
+        """Send a message and wait for its answer; a strange image need not be answered."""
+        self._put(run, question, estimate=estimate, image=image)
+        patience_s = self._options.patience_s if image is None else _MOMENT_S
         self._until(lambda: question.answers or run.error or self._dead(), patience_s)
-        if question.answers:
-            return
-        if not question.kind and not self._dead():
-            words = f'frame {question.seq}: ERROR: {run.error}' if run.error else \
-                f'frame {question.seq} of run {run.kind}: none in {patience_s:g} s'
-            self._verdicts.judge('answers', words, '')
-        self._abandon(run)
-
-    def _show(self, run: Run, question: Question, image: Image) -> None:
-        """Send an image that needs no answer, and wait for a possible one."""
-        self._put(run, question, image=image)
-        self._until(lambda: question.answers or run.error or self._dead(), _MOMENT_S)
-        if self._dead():
+        if self._dead() or not (question.answers or image):
+            if not question.kind and not self._dead():
+                words = f'frame {question.seq}: ERROR: {run.error}' if run.error else \
+                    f'frame {question.seq} of run {run.kind}: none in {patience_s:g} s'
+                self._verdicts.judge('answers', words, '')
             self._abandon(run)
 
     def _abandon(self, run: Run) -> None:

@@ -118,7 +118,7 @@ def test_given_runs_that_are_not_as_recorded_then_they_are_named_and_in_no_share
     assert '3 of 3 were not reproduced (run-0, run-1, run-2)' in words
 
 
-def test_given_a_biased_choice_a_sample_or_scenes_of_the_ledger_then_the_reader_is_told():
+def test_given_a_biased_choice_a_sample_or_scenes_of_the_record_then_the_reader_is_told():
     words = said([(True, True, True)] * 2, chosen_by='ce', failed=50, exact=False)
     assert '2 of the 50 failed runs were examined' in words
     assert 'chosen by ce' in words

@@ -79,7 +79,12 @@ def record(
         values = yaml.safe_load((draft / 'metadata.yaml').read_text())
         descriptions.append(values['rosbag2_bagfile_information'])
         shutil.rmtree(draft)
-    _describe(folder, descriptions)
+    whole = {
+        **descriptions[0], 'message_count': sum(one['message_count'] for one in descriptions),
+        'relative_file_paths': sorted(file.name for file in folder.iterdir()),
+    }
+    (folder / 'metadata.yaml').write_text(
+        yaml.safe_dump({'rosbag2_bagfile_information': whole}, sort_keys=False))
     return folder
 
 
@@ -99,32 +104,3 @@ def _write(folder: Path, logged: Sequence[Logged], namespace: str) -> None:
                 )
                 writer.write(rosout, stamp_ns, serialise(make('std_msgs/msg/String', data='hello')))
             writer.write(known[topic.name], stamp_ns, cdr)
-
-
-def _describe(folder: Path, parts: Sequence[dict]) -> None:
-    """One ``metadata.yaml`` for several files."""
-    whole = dict(parts[0])
-    start = min(one['starting_time']['nanoseconds_since_epoch'] for one in parts)
-    end = max(one['starting_time']['nanoseconds_since_epoch'] + one['duration']['nanoseconds']
-              for one in parts)
-    topics: dict[str, dict] = {}
-    for part in parts:
-        for entry in part['topics_with_message_count']:
-            name = entry['topic_metadata']['name']
-            before = topics.get(name, {**entry, 'message_count': 0})
-            count = before['message_count'] + entry['message_count']
-            topics[name] = {**before, 'message_count': count}
-    names = [f'{folder.name}_{number}.mcap' for number in range(len(parts))]
-    whole.update(
-        starting_time={'nanoseconds_since_epoch': start}, duration={'nanoseconds': end - start},
-        message_count=sum(one['message_count'] for one in parts),
-        topics_with_message_count=list(topics.values()), relative_file_paths=names,
-        files=[
-            {'path': name, 'starting_time': one['starting_time'], 'duration': one['duration'],
-             'message_count': one['message_count']}
-            for name, one in zip(names, parts, strict=True)
-        ],
-    )
-    text = yaml.safe_dump({'rosbag2_bagfile_information': whole}, sort_keys=False)
-    (folder / 'metadata.yaml').write_text(text)
-

@@ -19,7 +19,6 @@ from whole_runs import PER_STEP, RUN_ID, STEPS, WEIGHTS, write_run
 
 from taxinet_ros.analysis.one_run.film import film_frames
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.main import main
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically
 
@@ -48,28 +47,19 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def taxinet(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+def bag(
+    made: Path, taxinet: Taxinet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Taxinet:
-    """Types ``taxinet bag …`` beside the bags; new files go into ``new/``."""
+    """Types ``taxinet bag …`` beside the bags; new files go into ``NEW/``."""
     monkeypatch.setenv('COLUMNS', '200')
-
-    def call(*words: str) -> tuple[int, str, str]:
-        full = [word.replace('NEW', str(tmp_path)) for word in words]
-        monkeypatch.setattr('sys.argv', ['taxinet', 'bag', *full])
-        monkeypatch.chdir(made)
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capfd.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return call
+    monkeypatch.chdir(made)
+    return lambda *words: taxinet('bag', *(word.replace('NEW', str(tmp_path)) for word in words))
 
 
 def test_given_a_run_when_asked_for_info_then_people_see_run_scene_and_outcome(
-    taxinet: Taxinet,
+    bag: Taxinet,
 ) -> None:
-    code, out, err = taxinet('info', 'run')
+    code, out, err = bag('info', 'run')
     assert (code, err) == (0, '')
     for words in (
         f'run        {RUN_ID} (program, seed 7, index 3), recorded by taxinet_ros 1.2.3',
@@ -87,37 +77,37 @@ def test_given_a_run_when_asked_for_info_then_people_see_run_scene_and_outcome(
         assert words in out
 
 
-def test_given_json_when_asked_for_info_then_it_is_one_object(taxinet: Taxinet) -> None:
-    code, out, _ = taxinet('info', 'run', '--json')
+def test_given_json_when_asked_for_info_then_it_is_one_object(bag: Taxinet) -> None:
+    code, out, _ = bag('info', 'run', '--json')
     values = json.loads(out)
     assert (code, values['whole'], values['messages']) == (0, True, 168)
     assert values['run']['scene']['heading_deg'] == pytest.approx(8)
     assert values['run']['judged']['on_runway']['lower'] > 12
-    code, out, _ = taxinet('info', 'cut', '--json')
+    code, out, _ = bag('info', 'cut', '--json')
     values = json.loads(out)
     assert (code, values['whole']) == (3, False)
     assert values['run']['judged']['phi_eventually']['lower'] == '-inf'
 
 
-@pytest.mark.parametrize(('bag', 'code'), [('run', 0), ('cut', 3), ('flipped', 3)])
+@pytest.mark.parametrize(('name', 'code'), [('run', 0), ('cut', 3), ('flipped', 3)])
 def test_given_a_bag_when_the_doctor_looks_then_exit_code_and_json_agree(
-    taxinet: Taxinet, bag: str, code: int
+    bag: Taxinet, name: str, code: int
 ) -> None:
-    said, out, err = taxinet('doctor', bag)
+    said, out, err = bag('doctor', name)
     assert (said, err) == (code, '')
     assert ('nothing is wrong' in out) == (code == 0)
-    assert (f'mended by: taxinet bag recover {bag} --out NEW' in out) == (code == 3)
-    said, out, _ = taxinet('doctor', bag, '--json')
+    assert (f'mended by: taxinet bag recover {name} --out NEW' in out) == (code == 3)
+    said, out, _ = bag('doctor', name, '--json')
     values = json.loads(out)
     assert (said, values['sound']) == (code, code == 0)
     assert len(values['checks']) == 4
 
 
 def test_given_damaged_bags_when_recovered_then_the_new_ones_are_whole(
-    taxinet: Taxinet, made: Path, tmp_path: Path
+    bag: Taxinet, made: Path, tmp_path: Path
 ) -> None:
     before = {path: path.read_bytes() for path in made.rglob('*') if path.is_file()}
-    code, out, err = taxinet('recover', 'flipped', '--out', 'NEW/f')
+    code, out, err = bag('recover', 'flipped', '--out', 'NEW/f')
     assert (code, err) == (3, '')
     assert 'damage: flipped/flipped_0.mcap: at byte' in out
     (intact,) = map(int, re.findall(r'; (\d+) intact messages before\n', out))
@@ -126,30 +116,30 @@ def test_given_damaged_bags_when_recovered_then_the_new_ones_are_whole(
     assert f'saved {intact} messages, {steps} whole control steps of 16 planned, into' in out
     assert f'lost {168 - intact} of 168 messages' in out
     assert 'mcap recover flipped/flipped_0.mcap -o NEW.mcap' in out
-    code, out, _ = taxinet('recover', 'cut', '--out', 'NEW/c')
+    code, out, _ = bag('recover', 'cut', '--out', 'NEW/c')
     assert code == 3
     assert 'lost an unknown amount of data being written' in out
     assert 'mcap recover' not in out, 'nothing lies behind the end of a file'
-    code, out, _ = taxinet('recover', 'run', '--out', 'NEW/run')
+    code, out, _ = bag('recover', 'run', '--out', 'NEW/run')
     assert code == 0
     assert 'lost' not in out
     assert (tmp_path / 'run' / 'run_0.mcap').read_bytes() == before[made / 'run' / 'run_0.mcap']
     for name in ('f', 'c', 'run'):
-        assert taxinet('info', f'NEW/{name}')[0] == 0
+        assert bag('info', f'NEW/{name}')[0] == 0
     assert {path: path.read_bytes() for path in made.rglob('*') if path.is_file()} == before
 
 
 def test_given_tables_when_exported_then_files_hold_them_with_units(
-    taxinet: Taxinet, tmp_path: Path
+    bag: Taxinet, tmp_path: Path
 ) -> None:
-    code, out, err = taxinet('export', 'run', '--out', 'NEW/t.csv')
+    code, out, err = bag('export', 'run', '--out', 'NEW/t.csv')
     assert (code, err) == (0, '')
     assert out.startswith(f'table: {tmp_path}/t.csv (16 rows, ')
     trace = pd.read_csv(tmp_path / 't.csv')
     assert trace['cte_m'][0] == pytest.approx(-2.5)
-    assert taxinet('export', 'run', '--out', 'NEW/c.csv', '--topics', 'taxi_command')[0] == 0
+    assert bag('export', 'run', '--out', 'NEW/c.csv', '--topics', 'taxi_command')[0] == 0
     assert 'steering_angle [rad]' in pd.read_csv(tmp_path / 'c.csv').columns
-    assert taxinet('export', 'run', '--out', 'NEW/all', '--format', 'parquet')[0] == 0
+    assert bag('export', 'run', '--out', 'NEW/all', '--format', 'parquet')[0] == 0
     names = {path.name for path in (tmp_path / 'all').iterdir()}
     assert {'taxi_command.parquet', 'ground_truth.odom.parquet'} <= names
     assert 'camera.image_raw.parquet' not in names
@@ -158,9 +148,9 @@ def test_given_tables_when_exported_then_files_hold_them_with_units(
 
 
 def test_given_films_when_exported_then_every_step_is_a_frame_with_its_picture(
-    taxinet: Taxinet, tmp_path: Path
+    bag: Taxinet, tmp_path: Path
 ) -> None:
-    assert taxinet('export', 'run', '--out', 'NEW/f.mp4') == (
+    assert bag('export', 'run', '--out', 'NEW/f.mp4') == (
         0, f'film: {tmp_path}/f.mp4 ({STEPS} frames)\n', ''
     )
     film = cv2.VideoCapture(str(tmp_path / 'f.mp4'))
@@ -172,7 +162,7 @@ def test_given_films_when_exported_then_every_step_is_a_frame_with_its_picture(
     for step, frame in enumerate(frames):
         assert np.median(frame[300:400, 300:700]) == pytest.approx(60 + 10 * step, abs=4)
     assert np.mean(frames[-1][640:900]) > 200
-    assert taxinet('export', 'run', '--out', 'NEW/f.gif')[0] == 0
+    assert bag('export', 'run', '--out', 'NEW/f.gif')[0] == 0
     with Image.open(tmp_path / 'f.gif') as gif:
         assert (gif.size, gif.n_frames, gif.info['duration']) == ((540, 480), STEPS // 2, 200)
 
@@ -238,10 +228,10 @@ BAD = {
 
 @pytest.mark.parametrize('case', BAD)
 def test_given_a_mistake_then_one_line_says_what_and_nothing_is_written(
-    case: str, taxinet: Taxinet, tmp_path: Path
+    case: str, bag: Taxinet, tmp_path: Path
 ) -> None:
     words, expected_code, expected = BAD[case]
-    code, out, err = taxinet(*words)
+    code, out, err = bag(*words)
     assert (code, out) == (expected_code, ''), err
     (line,) = err.strip().splitlines()
     assert line.startswith('taxinet: error: ')
@@ -250,7 +240,7 @@ def test_given_a_mistake_then_one_line_says_what_and_nothing_is_written(
 
 
 def test_given_a_full_disk_when_exporting_then_one_line_and_exit_code_four(
-    taxinet: Taxinet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bag: Taxinet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path, write: object) -> None:
         def fail(draft: Path) -> None:
@@ -258,7 +248,7 @@ def test_given_a_full_disk_when_exporting_then_one_line_and_exit_code_four(
         make_atomically(path, fail)
 
     monkeypatch.setattr('taxinet_ros.cli.bag.export.make_atomically', full)
-    code, out, err = taxinet('export', 'run', '--out', 'NEW/t.csv')
+    code, out, err = bag('export', 'run', '--out', 'NEW/t.csv')
     assert (code, out) == (4, '')
     assert err == (
         f'taxinet: error: {tmp_path}/t.csv: [Errno 28] No space left on device\n'

@@ -70,20 +70,16 @@ def test_given_nested_packages_when_expanded_then_order_is_depth_first_by_name(
     assert text.startswith('b/Zed[3] zed')
 
 
-def test_given_two_prefixes_when_looked_up_then_the_first_wins(tmp_path: Path) -> None:
+def test_given_prefixes_when_looked_up_then_the_first_wins_and_else_those_of_ament(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     _install(tmp_path / 'one', 'a', 'Top', 'uint8 x\n')
     _install(tmp_path / 'two', 'a', 'Top', 'uint16 x\n')
     both = [tmp_path / 'one', tmp_path / 'two']
     assert message_definition('a/msg/Top', both) == 'uint8 x\n'
     assert message_definition('a/msg/Top', both[::-1]) == 'uint16 x\n'
-
-
-def test_given_ament_prefix_path_when_looked_up_then_it_is_searched(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _install(tmp_path, 'only_here', 'Top', 'uint8 x\n')
-    monkeypatch.setenv('AMENT_PREFIX_PATH', f'/nowhere:{tmp_path}')
-    assert message_definition('only_here/msg/Top') == 'uint8 x\n'
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'/nowhere:{tmp_path / "one"}')
+    assert message_definition('a/msg/Top') == 'uint8 x\n'
 
 
 @pytest.mark.parametrize('type_name', ['no_such_msgs/msg/Thing', 'std_msgs/msg/Thing'])

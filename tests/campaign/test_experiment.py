@@ -22,6 +22,7 @@ from taxinet_ros.campaign.experiment import (
     find_experiment,
     known_experiments,
     read_experiment,
+    with_network,
 )
 from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
@@ -173,6 +174,18 @@ def test_given_a_choice_that_an_arm_fixes_then_points_still_give_the_same_scenes
             scene, other = (source.scene(index, point) for source in (free, fixed))
             assert scene != other
             assert dataclasses.replace(scene, time_of_day_s=36000.0) == other
+
+
+def test_given_another_network_then_all_arms_have_it_unless_they_differ_in_theirs(tmp_path):
+    experiment = read_experiment(find_experiment('shadows'))
+    other = with_network(experiment, 'truth')
+    assert {arm.perception for arm in experiment.arms} == {'original'}
+    assert [arm.perception for arm in other.arms] == ['truth', 'truth']
+    assert [arm.laid_over for arm in other.arms] == [arm.laid_over for arm in experiment.arms]
+    with pytest.raises(UsageError, match='--perception truth: the arms of mine differ in their'):
+        with_network(read_experiment(written(tmp_path)), 'truth')
+    with pytest.raises(UsageError, match='lost'):
+        with_network(experiment, 'lost')
 
 
 def row(index: int, **changes) -> RunRow:

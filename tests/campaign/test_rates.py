@@ -45,7 +45,7 @@ LANDSCAPES = {
 
 def search(word: str, runs: int, seed: int, *, shape: str = 'band', true: float = 0.01,
            **options: float) -> list[RunRow]:
-    """What a ledger would hold of a search."""
+    """What would be on record of a search."""
     rho = LANDSCAPES[shape](true)
     sampler = make_sampler(word, SPACE, seed, runs, **options)
     rows = []

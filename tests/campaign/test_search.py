@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import falsify_samples as toy
+import pandas as pd
 import pytest
-from journal_samples import rewrite, under_way
+from campaign_records import change_row, write_campaign
 
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.options import make_options
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.facts import read_facts
-from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes import source as scene_source
 from taxinet_ros.campaign.scenes.search_space import Choice, SearchSpace
-from taxinet_ros.campaign.search import PATIENCE, search_summary
+from taxinet_ros.campaign.search import Search, search_summary
 from taxinet_ros.campaign.search_options import (
     SearchOptions,
     StopRule,
@@ -30,7 +29,6 @@ from taxinet_ros.campaign.search_options import (
 )
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.journal import journal_line
 
 
 @pytest.fixture(autouse=True)
@@ -38,16 +36,25 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
 
 
-@pytest.fixture
-def whole(tmp_path: Path) -> Path:
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a search that nobody disturbed."""
-    out = tmp_path / 'whole'
-    toy.finish(toy.options(out))
+    out = tmp_path_factory.mktemp('search') / 'whole'
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search_module, 'SceneSource', toy.ToySource)
+        toy.finish(toy.options(out))
     return out
+
+
+@pytest.fixture
+def copy(whole: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be continued."""
+    return Path(shutil.copytree(whole, tmp_path / 'copy'))
 
 
 def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_chosen(whole):
     table = read_table(whole)
+    pd.testing.assert_frame_equal(read_table(whole / 'runs.parquet'), table)
     assert list(table['index']) == list(range(20))
     assert {'PASS', 'FAIL', 'REJECTED'} == set(table['outcome'])
     assert set(table['sampler']) == {'ce'}
@@ -64,10 +71,7 @@ def test_s9_given_refused_points_then_they_use_up_no_run_and_are_counted(whole):
     assert table['refused'].sum() >= 1
     assert not (table[['u_x', 'u_y']].min(axis=1) > 0.6).any()
     assert table['detail'].str.contains('requirements').sum() == 0
-    events = map(json.loads, (whole / 'ledger.jsonl').read_text().splitlines())
-    refused = {event['row']['index']: event['row']['refused']
-               for event in events if event['event'] == 'result'}
-    assert refused == dict(zip(table['index'], table['refused'], strict=True))
+    assert [row.refused for row in read_campaign(whole).rows] == list(table['refused'])
 
 
 def test_s6_given_draws_that_are_no_scenario_then_they_are_rejected_with_the_reason(whole):
@@ -152,33 +156,19 @@ def test_given_a_kill_after_any_answer_when_resumed_then_the_table_is_that_of_an
     assert number > 10
 
 
-def test_given_a_ledger_torn_at_any_byte_of_its_end_when_resumed_then_nothing_else_is_lost(
-    whole, tmp_path
-):
-    data = (whole / 'ledger.jsonl').read_bytes()
-    cuts = range(len(data) - 900, len(data), 53)
-    for cut in cuts:
-        torn = tmp_path / f'torn-{cut}'
-        shutil.copytree(whole, torn)
-        under_way(torn)
-        (torn / 'ledger.jsonl').write_bytes(data[:cut])
-        toy.finish(toy.options(torn, resume=True))
-        toy.same_table(whole, torn)
-
-
 def test_given_a_finished_search_when_resumed_with_more_runs_then_only_those_are_done(
-    whole, tmp_path
+    copy, tmp_path
 ):
     toy.finish(toy.options(tmp_path / 'longer', runs=25))
     new = []
     with search_module.Search(
-        toy.options(whole, runs=25, resume=True), ('perception',), new.append
+        toy.options(copy, runs=25, resume=True), ('perception',), new.append
     ) as search:
         for _ in toy.answers(search, 1):
             pass
     assert [row.index for row in new] == [20, 21, 22, 23, 24]
-    toy.same_table(whole, tmp_path / 'longer')
-    assert json.loads((whole / 'campaign.json').read_text())['runs'] == 25
+    toy.same_table(copy, tmp_path / 'longer')
+    assert read_facts(copy)['runs'] == 25
 
 
 def break_once(indices: set[int]):
@@ -221,16 +211,6 @@ def test_given_a_run_that_breaks_twice_then_it_counts_as_broken_and_is_not_learn
     toy.same_table(tmp_path / 'one', tmp_path / 'many')
 
 
-def test_given_a_broken_bench_then_patience_ends(tmp_path):
-    search = toy.finish(
-        toy.options(tmp_path / 'c', sampler='halton'),
-        judge=lambda request: toy.result(request, Outcome.INFRA_ERROR),
-    )
-    outcomes = [row.outcome for row in search.rows if row.outcome is not Outcome.REJECTED]
-    assert outcomes == [Outcome.INFRA_ERROR] * PATIENCE
-    assert 'broken by the bench' in search.stopped
-
-
 @pytest.mark.parametrize(('rule', 'runs'), [('failures=3', 200), ('half-width=0.2', 200)])
 def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule, runs, tmp_path):
     chosen = toy.options(tmp_path / 'c', runs=runs, sampler='random', stop=parse_stop_rule(rule))
@@ -268,36 +248,26 @@ def test_given_a_search_resumed_with_another_rule_then_the_record_names_both(tmp
         toy.options(tmp_path / 'c', runs=200, sampler='random', stop=test, resume=True)
     )
     assert again.stopped == 'min-satisfaction=0.2 decided'
-    facts = read_ledger(tmp_path / 'c' / 'ledger.jsonl').campaign
-    assert facts['until'] == ['failures=1', 'min-satisfaction=0.2']
+    assert read_facts(tmp_path / 'c')['until'] == ['failures=1', 'min-satisfaction=0.2']
 
 
-def test_given_a_sequential_test_of_runs_that_the_program_does_not_draw_then_it_is_refused(
-    tmp_path
-):
-    stop = parse_stop_rule('min-satisfaction=0.2')
-    with pytest.raises(UsageError, match='no rate is known with grid'):
-        toy.finish(toy.options(tmp_path / 'c', sampler='grid', stop=stop))
+def summary(done: Search) -> str:
+    return '\n'.join(search_summary(done))
 
 
-def test_t15_given_a_search_until_failures_then_its_summary_says_what_that_does(tmp_path):
+def test_t15_given_an_open_number_of_runs_then_the_summary_and_the_record_say_so(tmp_path):
     stop = parse_stop_rule('failures=1')
-    words = '\n'.join(search_summary(toy.finish(toy.options(tmp_path / 'a', runs=200, stop=stop))))
+    words = summary(toy.finish(toy.options(tmp_path / 'a', runs=200, stop=stop)))
     assert 'too high on average; the interval holds all the same' in words
     assert 'valid whenever a search stops' in words
-    words = '\n'.join(
-        search_summary(toy.finish(toy.options(tmp_path / 'b', sampler='random'))))
+    words = summary(toy.finish(toy.options(tmp_path / 'b', sampler='random')))
     assert 'too high' not in words
     assert '(95 % intervals)' in words
-
-
-def test_t15_given_a_search_that_was_given_more_runs_then_its_interval_is_for_any_stop(tmp_path):
     toy.finish(toy.options(tmp_path / 'c', runs=20))
     search = toy.finish(toy.options(tmp_path / 'c', runs=30, resume=True))
     assert search.first_planned == range(20)
-    words = '\n'.join(search_summary(search))
-    assert 'valid whenever a search stops' in words
-    assert read_ledger(tmp_path / 'c' / 'ledger.jsonl').campaign['first_runs'] == 20
+    assert read_facts(tmp_path / 'c')['first_runs'] == 20
+    assert 'valid whenever a search stops' in summary(search)
 
 
 def test_t1_given_a_search_without_draws_then_its_summary_says_that_there_is_no_rate(tmp_path):
@@ -334,7 +304,7 @@ def test_given_interrupted_runs_then_they_are_in_the_table_and_run_again_when_re
         for request in begun[1:]:
             search.take(request, toy.result(request, Outcome.INTERRUPTED))
     assert list(read_table(out)['outcome']) == ['PASS', 'INTERRUPTED', 'INTERRUPTED']
-    assert read_ledger(out / 'ledger.jsonl').unfinished == ()
+    assert read_campaign(out).unfinished == ()
     toy.finish(toy.options(out, resume=True))
     resumed, undisturbed = read_table(out), read_table(whole)
     assert list(resumed['outcome']) == list(undisturbed['outcome'])
@@ -365,67 +335,51 @@ OTHERS = {
 
 @pytest.mark.parametrize('case', OTHERS)
 def test_given_another_search_in_the_folder_when_resumed_then_it_is_refused_and_left_alone(
-    case, whole
+    case, copy
 ):
     changes, expected = OTHERS[case]
-    before = {path: path.read_bytes() for path in whole.iterdir() if path.is_file()}
+    before = {path: path.read_bytes() for path in copy.iterdir() if path.is_file()}
     with pytest.raises(UsageError) as caught:
-        toy.finish(toy.options(whole, resume=True, **changes))
+        toy.finish(toy.options(copy, resume=True, **changes))
     assert expected in str(caught.value)
     assert '\n' not in str(caught.value)
-    assert {path: path.read_bytes() for path in whole.iterdir() if path.is_file()} == before
+    assert {path: path.read_bytes() for path in copy.iterdir() if path.is_file()} == before
 
 
 def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused(
-    whole, monkeypatch
+    copy, monkeypatch
 ):
     monkeypatch.setattr(search_module, 'check_perception', lambda word, **others: 'abc')
     with pytest.raises(UsageError, match='begun with perception_sha256 "", not "abc"'):
-        toy.finish(toy.options(whole, resume=True))
+        toy.finish(toy.options(copy, resume=True))
     monkeypatch.setattr(toy.ToySource, 'text', '# --- nominal.scenic ---\nother\n')
     with pytest.raises(UsageError, match=r'begun with another text of nominal\.scenic'):
-        toy.finish(toy.options(whole, resume=True))
+        toy.finish(toy.options(copy, resume=True))
 
 
 def test_given_nothing_to_resume_or_a_campaign_of_another_kind_then_one_line_says_so(tmp_path):
     with pytest.raises(UsageError, match=r'there is nothing to resume; leave --resume out'):
         toy.finish(toy.options(tmp_path, resume=True))
-    (tmp_path / 'ledger.jsonl').write_bytes(
-        journal_line({'event': 'campaign', 'campaign': {'seed': 3}})
-    )
+    write_campaign(tmp_path, facts={'seed': 3})
     with pytest.raises(UsageError, match='not written by taxinet falsify'):
         toy.finish(toy.options(tmp_path, resume=True))
 
 
-def test_given_a_search_killed_before_its_first_line_when_resumed_then_it_begins(whole, tmp_path):
-    out = tmp_path / 'c'
-    out.mkdir()
-    (out / 'ledger.jsonl').write_text('{"event":"campa')
-    toy.finish(toy.options(out, resume=True))
-    toy.same_table(whole, out)
-
-
-def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refused(whole):
-    def elsewhere(events: list[dict[str, Any]]) -> None:
-        rows = [event['row'] for event in events if event['event'] == 'result']
-        rows[7]['point']['x'] += 1e-9
-
-    under_way(whole)
-    rewrite(whole / 'ledger.jsonl', elsewhere)
-    ledger = (whole / 'ledger.jsonl').read_bytes()
-    values = read_facts(whole).values
+def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refused(copy):
+    point = read_campaign(copy).rows[7].point
+    change_row(copy, 7, point={**point, 'x': point['x'] + 1e-9})
+    before = read_campaign(copy)
     with pytest.raises(UsageError, match='another point for run 7'):
-        toy.finish(toy.options(whole, resume=True))
-    assert (whole / 'ledger.jsonl').read_bytes() == ledger
-    assert read_facts(whole).values == values
+        toy.finish(toy.options(copy, resume=True))
+    assert read_campaign(copy) == before
 
 
-@pytest.mark.parametrize('sampler', ['halton', 'sobol', 'grid'])
-def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, tmp_path):
-    chosen = toy.options(
-        tmp_path / 'c', sampler=sampler, stop=parse_stop_rule('half-width=0.1')
-    )
-    with pytest.raises(UsageError, match='no rate is known'):
+@pytest.mark.parametrize(('sampler', 'rule'), [
+    ('halton', 'half-width=0.1'), ('sobol', 'half-width=0.1'), ('grid', 'min-satisfaction=0.2'),
+])
+def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, rule, tmp_path):
+    chosen = toy.options(tmp_path / 'c', sampler=sampler, stop=parse_stop_rule(rule))
+    with pytest.raises(UsageError, match=f'no rate is known with {sampler}'):
         toy.finish(chosen)
     assert list(tmp_path.iterdir()) == []
 

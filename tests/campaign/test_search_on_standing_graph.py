@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 
 import falsify_samples as toy
 import pytest
 
 from taxinet_ros.campaign import search as search_module
+from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -39,10 +39,6 @@ def begin(search: Search) -> RunRequest:
     return request
 
 
-def facts(out: Path) -> dict[str, object]:
-    return json.loads((out / 'campaign.json').read_text())
-
-
 def test_given_a_standing_graph_then_the_runs_are_those_of_any_other_and_their_perception_is_its(
     tmp_path,
 ):
@@ -60,12 +56,12 @@ def test_given_a_standing_graph_then_the_runs_are_those_of_any_other_and_their_p
 def test_given_answers_then_what_was_asked_names_the_perception_from_the_first_one_on(tmp_path):
     with Search(standing(tmp_path / 'c'), ('perception',)) as search:
         assert search.perception == ''
-        assert facts(tmp_path / 'c')['perception'] == ''
+        assert read_facts(tmp_path / 'c')['perception'] == ''
         request = begin(search)
         search.take(request, answered('original', 'abc')(request))
         assert search.perception == 'original'
-    assert facts(tmp_path / 'c')['perception'] == 'original'
-    assert facts(tmp_path / 'c')['perception_sha256'] == 'abc'
+    assert read_facts(tmp_path / 'c')['perception'] == 'original'
+    assert read_facts(tmp_path / 'c')['perception_sha256'] == 'abc'
 
 
 @pytest.mark.parametrize(
@@ -98,7 +94,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
     assert '\n' not in str(caught.value)
     assert (first.index, second.index) == (0, 1)
     assert list(read_table(out)['index']) == [0]
-    assert facts(out)['perception'] == before[0]
+    assert read_facts(out)['perception'] == before[0]
     with Search(standing(out, resume=True), ('perception',)) as search:
         third = begin(search)
         assert third.run_id == f'{second.run_id}.2'

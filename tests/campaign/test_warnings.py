@@ -1,4 +1,4 @@
-"""What a campaign warns of: at its start, in its lines, in ``campaign.json``, when resumed."""
+"""What a campaign warns of: at its start, in its lines, in its record, when resumed."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import falsify_samples as toy
 import pytest
 
 from taxinet_ros.campaign import search as search_module
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.scenes.overrides import doubtful_values
 from taxinet_ros.campaign.summary import (
@@ -59,14 +58,12 @@ def test_people2_given_a_requirement_that_no_run_can_violate_then_it_is_told_and
     with toy.searching(chosen) as search:
         lines = [line.plain for line in requirement_lines(search.check)]
         quiet = [line.plain for line in requirement_lines(search.check, quiet=True)]
-        facts = json.loads((tmp_path / 'a' / FACTS_NAME).read_text())
-        ledger = read_ledger(tmp_path / 'a' / LEDGER_NAME).campaign
+        facts = read_facts(tmp_path / 'a')
     assert lines[0].startswith('phi_eventually: at some time from 0 s to 10 s: always from then on')
     assert lines[1].startswith('gentle: always over the run: |steering| <= 0.3 rad (17.19 deg)')
     assert quiet == lines[2:] == [f'warning: {text}' for text in facts['warnings']]
     assert 'eventually[0:10] ends at 10 s, after the run of 1 s' in quiet[0]
     assert quiet[1].startswith('warning: gentle: no run can violate it')
-    assert ledger['warnings'] == facts['warnings']
 
 
 def test_t17_given_a_window_beyond_the_run_then_nothing_is_written(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from taxinet_ros.campaign.worker_pool import (
     result_from_json,
     result_to_json,
 )
-from taxinet_ros.core.mtl import exact_intervals
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -64,8 +65,8 @@ def test_given_runs_then_they_travel_whole(tmp_path):
     )
     statistics = RunStatistics(max_cross_track_m=31.5, he_error=ErrorStatistics(mean=-1 / 3))
     answer = RunResult(
-        outcome=Outcome.FAIL, robustness=exact_intervals({'f': -1 / 3}),
-        last_seq=4, statistics=statistics,
+        outcome=Outcome.FAIL, last_seq=4, statistics=statistics, stopped_early=True,
+        robustness={'f': RobustnessInterval.exactly(-1 / 3), 'g': RobustnessInterval(-math.inf, 1)},
     )
     assert request_from_json(json.loads(encode_line(request_to_json(asked)))) == asked
     back = result_from_json(json.loads(encode_line(result_to_json(answer))))

@@ -73,12 +73,11 @@ def begin(folder: Path, name: str) -> subprocess.Popen[str]:
     )
 
 
-def run_here(folder: Path, name: str) -> int:
+def run_here(out: Path, seed: int, perception: str, runs: int = 1) -> int:
     """The same, in this process."""
     return run_campaign(make_options(
-        program='training_full', runs=2, seed=SEEDS[name], perception='taxinet',
-        settings=['duration=1'], specs=['phi_always'], images='none', out=folder / name,
-        processes=False,
+        program='training_full', runs=runs, seed=seed, perception=perception,
+        settings=['duration=1'], specs=['phi_always'], images='none', out=out, processes=False,
     ))
 
 
@@ -97,7 +96,9 @@ def test_given_two_campaigns_at_once_then_each_is_what_it_is_alone(tmp_path):
     together.mkdir()
     at_once = [begin(together, name) for name in SEEDS]
     ends = [ended(campaign) for campaign in at_once]
-    codes = [code for code, _, _ in ends] + [run_here(alone, name) for name in SEEDS]
+    codes = [code for code, _, _ in ends] + [
+        run_here(alone / name, seed, 'taxinet', runs=2) for name, seed in SEEDS.items()
+    ]
     assert set(codes) <= {0, 1}, ends
     for name in SEEDS:
         (table, bags), (expected, expected_bags) = made(together, name), made(alone, name)
@@ -135,13 +136,6 @@ def first_choice(number: int, monkeypatch) -> None:
     monkeypatch.setattr(domain, '_domains', itertools.chain([number], others))
 
 
-def short_campaign(out: Path, runs: int = 1) -> int:
-    return run_campaign(make_options(
-        program='training_full', runs=runs, seed=7, perception='original', settings=['duration=1'],
-        specs=['phi_always'], images='none', out=out, processes=False,
-    ))
-
-
 def test_f5_given_a_graph_that_reserves_nothing_then_its_domain_is_passed_over(
     standing, tmp_path, monkeypatch
 ):
@@ -149,9 +143,9 @@ def test_f5_given_a_graph_that_reserves_nothing_then_its_domain_is_passed_over(
     with own_domain() as other:
         assert other != standing
     first_choice(standing, monkeypatch)
-    assert short_campaign(tmp_path / 'beside') in (0, 1)
+    assert run_here(tmp_path / 'beside', 7, 'original') in (0, 1)
     monkeypatch.undo()
-    assert short_campaign(tmp_path / 'alone') in (0, 1)
+    assert run_here(tmp_path / 'alone', 7, 'original') in (0, 1)
     (table, bags), (expected, expected_bags) = made(tmp_path, 'beside'), made(tmp_path, 'alone')
     assert list(table['perception']) == ['original']
     assert list(table['rho']) == list(expected['rho'])
@@ -165,7 +159,7 @@ def test_f5_given_a_graph_that_came_after_the_choice_then_no_verdict_is_its_and_
 ):
     first_choice(standing, monkeypatch)
     monkeypatch.setattr(domain, 'in_use', lambda number: False)
-    assert short_campaign(tmp_path / 'c', runs=2) == 4
+    assert run_here(tmp_path / 'c', 7, 'original', runs=2) == 4
     broken, sound = read_table(tmp_path / 'c').to_dict('records')
     assert (broken['outcome'], broken['kind']) == ('INFRA_ERROR', 'intruder'), broken
     assert sound['outcome'] in ('PASS', 'FAIL')

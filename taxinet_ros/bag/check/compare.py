@@ -98,9 +98,6 @@ def compare_bags(
     Returns:
         A comparison for every topic with messages in either bag, in the order of the bags;
         transforms only if both bags have them.
-
-    Raises:
-        BagError, UsageError: a bag cannot be read.
     """
     bags = [bag if isinstance(bag, Recording) else open_recording(bag) for bag in (one, other)]
     counts = [bag.info.counts for bag in bags]

@@ -77,9 +77,6 @@ def judge_runs(
         path: a bag's folder or an ``.mcap`` file.
         specs: requirements; empty: each run's own.
         assumptions: assumptions; None: the recorded ones.
-
-    Raises:
-        UsageError: ``path`` does not exist.
     """
     try:
         names = signals_of_specs(specs) if specs else None
@@ -119,18 +116,7 @@ def judge_bags(
     paths: Sequence[Path], specs: Sequence[Spec], workers: int,
     assumptions: Assumptions | None = None,
 ) -> Iterator[JudgedBag]:
-    """Judge all runs of several bags, in the order of the paths; see :func:`judge_runs`.
-
-    Args:
-        paths: run folders or ``.mcap`` files.
-        specs: requirements; empty: each run's own.
-        workers: number of processes; 1: this process only.
-        assumptions: assumptions; None: the recorded ones.
-
-    Raises:
-        UsageError: a path does not exist.
-        InfraError: a worker process died.
-    """
+    """Judge all runs of several bags, in the order of the paths; see :func:`judge_runs`."""
     if workers == 1 or len(paths) < 2 * _CHUNK:
         for path in paths:
             yield from judge_runs(path, specs, assumptions)

@@ -24,17 +24,7 @@ from taxinet_ros.errors import UsageError
 def copy_of(
     info: BagInfo, folder: Path, topics: Sequence[TopicInfo], min_free_bytes: int
 ) -> Iterator[BagWriter]:
-    """Context with a new bag that has the metadata and attachments of an old one.
-
-    Args:
-        info: table of contents of the old bag.
-        folder: the new run folder.
-        topics: topics of the new bag.
-        min_free_bytes: required free disk space [bytes].
-
-    Raises:
-        UsageError, BagWriteError: as :class:`BagWriter`.
-    """
+    """Context with a new bag that has the metadata and attachments of an old one."""
     words = info.metadata.get(RUN_METADATA, {})
     attachments, metadata = _besides_messages(info.path)
     with BagWriter(

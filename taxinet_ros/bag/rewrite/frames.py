@@ -32,11 +32,7 @@ _DRAFT = '.with-frames'
 
 
 def missing_frames(info: BagInfo) -> int:
-    """Number of control steps of a bag without a camera frame.
-
-    Raises:
-        BagForeign: the bag was not recorded by this package.
-    """
+    """Number of control steps of a bag without a camera frame."""
     if CAMERA_INFO not in info.counts:
         raise BagForeign(
             f'{info.path}: no topic {CAMERA_INFO}, so it is not a run of '
@@ -46,12 +42,7 @@ def missing_frames(info: BagInfo) -> int:
 
 
 def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
-    """Yield control step and serialised frame: recorded or, if missing, rendered.
-
-    Raises:
-        WorldDiffers: a frame is missing and cannot be reproduced.
-        BagError, UsageError: the bag cannot be read.
-    """
+    """Yield control step and serialised frame: recorded or, if missing, rendered."""
     frames = _Frames(recording)
     for message in recording.whole_messages((IMAGE, CAMERA_INFO).__contains__):
         seq = message.stamp_ns // CONTROL_PERIOD_NS
@@ -63,19 +54,14 @@ def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
 def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
     """Write the run to the new run ``folder`` with a frame in every control step.
 
-    Recorded frames are kept, missing ones are rendered. A generator, so that a node can interleave
-    other work: it yields the number of each completed control step.
-
-    Args:
-        recording: recording of the run.
-        folder: the new run folder; byte-identical to a recording only under the same name.
-        min_free_bytes: required free disk space [bytes].
+    Recorded frames are kept, missing ones are rendered; under the same name the bag is
+    byte-identical to a recording. A generator, so that a node can interleave other work: it yields
+    the number of each completed control step.
 
     Raises:
         UsageError: the bag is damaged, or ``folder`` exists or has too little space.
         WorldDiffers: the frames cannot be reproduced.
-        BagWriteError: an error of the operating system.
-        BagError: the bag cannot be read.
+        BagError: the bag cannot be read or written.
     """
     source, info = recording.path, recording.info
     missing_frames(info)

@@ -43,16 +43,11 @@ class Recovery:
 def recover(source: Path, folder: Path) -> Recovery:
     """Copy messages, attachments and metadata of ``source`` up to the first damage.
 
-    ``source`` is not modified.
-
-    Args:
-        source: a run folder or an ``.mcap`` file.
-        folder: the new run folder.
+    ``source``, a run folder or an ``.mcap`` file, is not modified.
 
     Raises:
         BagEmpty: nothing can be read; no folder is created.
-        BagForeign, UsageError: as ``reader.read_messages`` and :class:`BagWriter`.
-        BagWriteError: the new bag does not fit on the disk.
+        BagError, UsageError: as ``reader.read_messages`` and :class:`BagWriter`.
     """
     info = read_info(source)
     if not info.count:

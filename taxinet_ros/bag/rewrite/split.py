@@ -30,11 +30,6 @@ def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
     Args:
         recording: recording of several runs, or by another recorder.
         folders: new run folder by run name.
-
-    Raises:
-        UsageError: a folder exists, or a run has no scenario.
-        BagCorrupt, BagForeign: a message does not match its topic's definition.
-        BagWriteError: an error of the operating system.
     """
     numbers = {i: run for i, run in enumerate(recording.runs) if run.name in folders}
     for run in numbers.values():

@@ -87,13 +87,7 @@ def judge_spec(
 ) -> tuple[SpecVerdict, list[Reading]]:
     """Judge a run by one requirement; return the verdict and the reading of each sample.
 
-    Args:
-        samples: samples of the run.
-        spec: the requirement.
-        assumptions: assumptions; None: the recorded ones.
-
-    Raises:
-        UsageError: the run's duration is 0.
+    ``assumptions``: None for the recorded ones.
     """
     vouched = samples.assumptions if assumptions is None else assumptions
     samples = samples.seen_by(spec)

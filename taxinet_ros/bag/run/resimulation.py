@@ -63,12 +63,7 @@ def observations(
 
 
 def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:
-    """Find the world of the run in the bag at ``path``.
-
-    Raises:
-        UsageError: the package of the world is not installed, or has changed; or the record of a
-            fork is damaged.
-    """
+    """World of the run in the bag at ``path``; refused if its package is gone or has changed."""
     try:
         if run.world == FORK:
             return _world_of_fork(run)
@@ -113,11 +108,7 @@ def _held(
 def states_and_commands(
     recording: Recording,
 ) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
-    """Numbers of the recorded odometry, and the recorded commands, by control step.
-
-    Raises:
-        BagError: the bag is damaged, or a message is not of its type.
-    """
+    """Numbers of the recorded odometry, and the recorded commands, by control step."""
     states: dict[int, dict[str, float]] = {}
     commands: dict[int, TaxiCommand] = {}
     recording.check_damage()
@@ -152,17 +143,7 @@ def _numbers(state: AircraftState) -> dict[str, float]:
 
 
 def check_state(path: Path, seq: int, before: dict[str, float], state: AircraftState) -> None:
-    """Check a state against the recorded one of its step, to the bit.
-
-    Args:
-        path: the bag.
-        seq: the control step.
-        before: the recorded numbers, see :func:`states_and_commands`.
-        state: the state now.
-
-    Raises:
-        WorldDiffers: they differ.
-    """
+    """Raise WorldDiffers if a state is not that of :func:`states_and_commands` to the bit."""
     now = _numbers(state)
     for name, value in before.items():
         if now[name] != value:

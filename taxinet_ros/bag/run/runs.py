@@ -196,6 +196,8 @@ class _RunsReader:
         place = len(self.owners)
         self.owners.append(_NO_RUN)
         if relative in _WITHOUT_RUN_ID:
+            if relative == ODOMETRY:
+                self._decode(stored)
             stamp_ns = stamp_of_cdr(stored.cdr)
             stretches = self._stretches.setdefault((namespace, relative), [])
             if not stretches or stamp_ns <= stretches[-1].last_ns:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign
 from taxinet_ros.bag.run.message_values import (
     clearance_in,
     clearance_of,
+    command_of,
     error_of,
     stamp_of,
     track_of,
@@ -29,9 +30,7 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     is_topic,
 )
-from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
-from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
 from taxinet_ros.core.traffic.traffic import NOBODY
@@ -45,6 +44,7 @@ Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
 
 _MOST = 2**63 - 1
+_TRACED = (SCENARIO, TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
 
 
 class CameraFrame(NamedTuple):
@@ -66,15 +66,30 @@ class CameraFrame(NamedTuple):
 def trace_columns(recording: Recording) -> dict[str, Column]:
     """See :attr:`.recording.Recording.columns`."""
     recording.check_damage()
-    table, path = _TraceColumns(), recording.path
-    for name, _, message in recording.messages(_FILL):
-        try:
-            _FILL[name](table, stamp_of(message), message)
-        except (AttributeError, TypeError, ValueError, UsageError) as error:
-            raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
-    if not table.stamps:
-        raise BagEmpty(f'{path}: no messages on {TRUTH}, so there is no trace', path=path)
-    return table.columns()
+    told: dict[str, list[Any]] = {name: [] for name in _TRACED}
+    for name, _, message in recording.messages(_TRACED):
+        told[name].append(message)
+    try:
+        stamps = {_step(message): stamp_of(message) for message in told[TRUTH]}
+        poses = _poses(told[SCENARIO], told[ODOMETRY])
+        cells = _cells(told)
+    except (AttributeError, TypeError, ValueError, UsageError) as error:
+        text = f'{recording.path}: topics of the trace: {error}'
+        raise BagForeign(text, path=recording.path) from error
+    if not stamps:
+        what = f'no messages on {TRUTH}, so there is no trace'
+        raise BagEmpty(f'{recording.path}: {what}', path=recording.path)
+    steps = sorted(stamps)
+    rows = [{**cells[k], **poses.get(stamps[k], {})} for k in steps]
+    columns: dict[str, Column] = {
+        'seq': np.array(steps, dtype=np.int64),
+        't_ns': np.array([stamps[k] for k in steps], dtype=np.int64),
+        'est_valid': np.array(['est_cte_m' in row for row in rows], dtype=np.bool_),
+    }
+    names = (name for found in (*poses.values(), *cells.values()) for name in found)
+    for name in dict.fromkeys((*STEP_UNITS, *names)):
+        columns[name] = np.array([row.get(name, np.nan) for row in rows], dtype=np.float64)
+    return columns
 
 
 def recorded_steps(recording: Recording) -> frozenset[int]:
@@ -110,13 +125,7 @@ def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
 
 
 def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
-    """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame.
-
-    Raises:
-        BagCorrupt: size and data of an image do not match.
-        BagForeign: an image is neither rgb8 nor bgr8, or there are several runs.
-        BagError: the bag is damaged or unsupported.
-    """
+    """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame."""
     path, latest_ns = recording.path, -1
     for stored in recording.one.whole_messages(lambda name: is_topic(name, IMAGE)):
         where = f'{path}: image at {stored.stamp_ns} ns'
@@ -133,87 +142,52 @@ def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
         yield stamp_ns, pixels
 
 
-class _TraceColumns:
-    """Collects cells by step and column."""
+def _step(message: Any) -> int:
+    """Control step of a message of the truth."""
+    if not 0 <= message.seq <= _MOST or stamp_of(message) > _MOST:
+        raise ValueError(f'step {message.seq} at {stamp_of(message)} ns is beyond all numbers')
+    return int(message.seq)
 
-    def __init__(self) -> None:
-        self.track: Track | None = None
-        self.stamps: dict[int, int] = {}
-        self.poses: dict[int, dict[str, float]] = {}
-        self.odometry: dict[int, Any] = {}
-        self.clearance: Clearance | None = None
-        self.cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
-        self.names: dict[str, None] = {}
 
-    def put(self, seq: int, **values: float) -> None:
-        """Set cells of one step."""
-        self.cells[seq].update({name: float(value) for name, value in values.items()})
-        self.names.update(dict.fromkeys(values))
-
-    def columns(self) -> dict[str, Column]:
-        """Return the columns, with rows in the order of the steps."""
-        steps = sorted(self.stamps)
-        if self.track is not None:
-            for pose in self.poses.values():
-                pose['distance_m'] = self.track.measure(pose['x_m'], pose['y_m']).distance_m
-        if self.clearance is not None:
-            for stamp_ns, message in self.odometry.items():
-                self.poses[stamp_ns][CLEARANCE_COLUMN] = clearance_of(self.clearance, message)
-        rows = [{**self.cells[k], **self.poses.get(self.stamps[k], {})} for k in steps]
-        columns: dict[str, Column] = {
-            'seq': np.array(steps, dtype=np.int64),
-            't_ns': np.array([self.stamps[k] for k in steps], dtype=np.int64),
-            'est_valid': np.array(['est_cte_m' in row for row in rows], dtype=np.bool_),
+def _poses(scenarios: Sequence[Any], odometry: Sequence[Any]) -> dict[int, dict[str, float]]:
+    """Cells of odometry by stamp [ns]."""
+    scenario = scenarios[-1] if scenarios else None
+    track = track_of(scenario) if scenario is not None else None
+    traffic = getattr(scenario, TRAFFIC.attribute, '') not in ('', NOBODY)
+    clearance = clearance_in(scenario) if traffic else None
+    poses = {}
+    for message in odometry:
+        x_m, y_m = float(message.pose.pose.position.x), float(message.pose.pose.position.y)
+        pose = poses[stamp_of(message)] = {
+            'x_m': x_m, 'y_m': y_m,
+            'distance_m': track.measure(x_m, y_m).distance_m if track else x_m,
+            'speed_mps': float(message.twist.twist.linear.x),
         }
-        others = (CLEARANCE_COLUMN,) if self.clearance else ()
-        for name in dict.fromkeys((*STEP_UNITS, *others, *self.names)):
-            columns[name] = np.array([row.get(name, np.nan) for row in rows], dtype=np.float64)
-        return columns
+        if clearance is not None:
+            pose[CLEARANCE_COLUMN] = clearance_of(clearance, message)
+    return poses
 
 
-def _scenario(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    table.track = track_of(message)
-    if getattr(message, TRAFFIC.attribute, '') not in ('', NOBODY):
-        table.clearance = clearance_in(message)
-
-
-def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    if not 0 <= message.seq <= _MOST or stamp_ns > _MOST:
-        raise ValueError(f'step {message.seq} at {stamp_ns} ns is beyond all numbers')
-    table.stamps[int(message.seq)] = stamp_ns
-    table.put(message.seq, cte_m=message.cross_track_error, he_rad=message.heading_error)
-
-
-def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    position = message.pose.pose.position
-    table.poses[stamp_ns] = {
-        'x_m': float(position.x), 'y_m': float(position.y), 'distance_m': float(position.x),
-        'speed_mps': float(message.twist.twist.linear.x),
-    }
-    table.odometry[stamp_ns] = message
-
-
-def _estimate(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    estimate = error_of(message)
-    if estimate.usable:
-        table.put(message.seq, est_cte_m=estimate.cte_m, est_he_rad=estimate.he_rad)
-
-
-def _command(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    table.put(message.seq, steering_rad=message.steering_angle, speed_cmd_mps=message.speed)
-
-
-def _robustness(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
-    table.put(message.seq, **{
-        f'rho_lower.{message.spec}': message.rho_lower,
-        f'rho_upper.{message.spec}': message.rho_upper,
-    })
-
-
-_FILL = {
-    SCENARIO: _scenario, TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
-    ROBUSTNESS: _robustness,
-}
+def _cells(told: Mapping[str, Sequence[Any]]) -> Mapping[int, Mapping[str, float]]:
+    """Cells of the other messages by control step."""
+    cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
+    for message in told[TRUTH]:
+        truth = error_of(message)
+        cells[message.seq].update(cte_m=truth.cte_m, he_rad=truth.he_rad)
+    for message in told[ESTIMATE]:
+        estimate = error_of(message)
+        if estimate.usable:
+            cells[message.seq].update(est_cte_m=estimate.cte_m, est_he_rad=estimate.he_rad)
+    for message in told[COMMAND]:
+        command = command_of(message)
+        cells[message.seq].update(
+            steering_rad=command.steering_rad, speed_cmd_mps=command.speed_mps)
+    for message in told[ROBUSTNESS]:
+        cells[message.seq] |= {
+            f'rho_lower.{message.spec}': float(message.rho_lower),
+            f'rho_upper.{message.spec}': float(message.rho_upper),
+        }
+    return cells
 
 
 def _pixels(message: Any) -> Frame:

@@ -91,10 +91,10 @@ def verify_evidence(
     Raises:
         UsageError: the folder is none of evidence.
     """
-    return verify.verify(verify.VerifyOptions(
-        folder=Path(folder), moved=_paths(campaigns), sample=sample, seed=seed,
+    return verify.verify(
+        Path(folder), moved=_paths(campaigns), sample=sample, seed=seed,
         networks=tuple(map(str, _paths(perception))),
-    ))
+    )
 
 
 def _paths(given: _Paths) -> tuple[Path, ...]:

@@ -124,14 +124,13 @@ def verify_evidence(
     from rich.console import Console
 
     from taxinet_ros.cli.progress import stage_bars
-    from taxinet_ros.extras.evidence.verify import VerifyOptions, verify
+    from taxinet_ros.extras.evidence.verify import verify
 
-    options = VerifyOptions(
-        folder=folder, moved=tuple(campaign or ()), networks=tuple(perception or ()),
-        sample=sample, seed=seed,
-    )
     with stage_bars(Console(stderr=True)) as show:
-        found = verify(options, show)
+        found = verify(
+            folder, moved=campaign or (), networks=tuple(perception or ()), sample=sample,
+            seed=seed, on_progress=show,
+        )
     if as_json:
         print(json.dumps({
             'folder': str(folder), 'holds': found.holds, 'checked': found.checked,

@@ -11,7 +11,7 @@ import json
 import random
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,47 +76,29 @@ class Verification:
         return ExitCode.INCOMPLETE if self.unchecked else ExitCode.OK
 
 
-@dataclass(frozen=True, kw_only=True)
-class VerifyOptions:
-    """How evidence is verified.
+def verify(
+    folder: Path, *, moved: Sequence[Path] = (), networks: tuple[str, ...] = (), sample: int = 5,
+    seed: int = 0, on_progress: Progress = lambda stage, done, of: None,
+) -> Verification:
+    """Verify a folder of evidence.
 
-    Attributes:
+    Args:
         folder: its folder.
         moved: folders of inputs that have moved: campaigns, localisations, judgements, ODD.
         networks: files of networks that have moved.
         sample: number of runs to drive again.
         seed: chooses them.
-    """
-
-    folder: Path
-    moved: tuple[Path, ...] = ()
-    networks: tuple[str, ...] = ()
-    sample: int = 5
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.sample < 0:
-            raise UsageError(f'--sample {self.sample}: needs to be 0 or more')
-        for path in self.moved:
-            if not path.exists():
-                raise UsageError(f'--campaign {path}: no such folder')
-
-
-def verify(
-    options: VerifyOptions, on_progress: Progress = lambda stage, done, of: None,
-) -> Verification:
-    """Verify a folder of evidence.
-
-    Args:
-        options: what and how.
         on_progress: called with the stage, what is done of it, and how much there is.
     """
-    found = Verification()
-    _check_files(options.folder, found)
-    path = options.folder / JSON_NAME
+    if sample < 0:
+        raise UsageError(f'--sample {sample}: needs to be 0 or more')
+    if absent := [path for path in moved if not path.exists()]:
+        raise UsageError(f'--campaign {absent[0]}: no such folder')
+    found, path = Verification(), folder / JSON_NAME
+    _check_files(folder, found)
     try:
         content = _read_json(path)
-        again = _again(content, options, found, on_progress)
+        again = _again(content, folder, _Places(folder, moved), networks, found, on_progress)
     except UsageError as error:
         found.damaged.append(str(error))
     except (LookupError, TypeError, AttributeError, ValueError) as error:
@@ -125,8 +107,8 @@ def verify(
         )
     else:
         if again is not None:
-            _compare(content, again, options, found)
-            _drive_again(again, options, found, on_progress)
+            _compare(content, again, path, found)
+            _drive_again(again, networks, random.Random(seed), sample, found, on_progress)
     return found
 
 
@@ -169,12 +151,11 @@ def _read_json(path: Path) -> Mapping[str, Any]:
 
 
 def _again(
-    content: Mapping[str, Any], options: VerifyOptions, found: Verification,
-    on_progress: Progress,
+    content: Mapping[str, Any], folder: Path, places: _Places, networks: tuple[str, ...],
+    found: Verification, on_progress: Progress,
 ) -> Collected | None:
     """The evidence, made again from the inputs; None if one of them is missing or has changed."""
     by_number = sorted(content['campaigns'], key=lambda one: int(one['id'].rpartition('-')[2]))
-    places = _Places(options)
     campaigns = tuple(places.folder('campaign', one) for one in by_number)
     localisations = tuple(
         places.folder('localisation', one) for one in content['localisations']
@@ -184,25 +165,21 @@ def _again(
     word = odd and odd['given']
     if odd and odd['files']:
         word = str(places.folder('ODD', odd) / word)
-    places.troubles += [
-        f'--campaign {path}: is none of the inputs, or has changed since the evidence was written'
-        for path in options.moved if path not in places.recorded
-    ]
-    if places.troubles:
-        found.damaged += places.troubles
+    if troubles := [*places.troubles, *places.unused()]:
+        found.damaged += troubles
         return None
     found.checked['hashes of inputs'] = places.hashes
     requirement = content['requirement']
     return collect(
         EvidenceOptions(
             campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=word,
-            localisations=localisations, monitors=monitors, networks=options.networks,
+            localisations=localisations, monitors=monitors, networks=networks,
             recorded=places.recorded, names=tuple(one['name'] for one in by_number),
             requirement=None if requirement is None else requirement_of(
-                requirement['given'], str(options.folder / JSON_NAME)
+                requirement['given'], str(folder / JSON_NAME)
             ),
         ),
-        options.folder, on_progress,
+        folder, on_progress,
     )
 
 
@@ -215,8 +192,8 @@ class _Places:
         hashes: number of files that are as recorded.
     """
 
-    def __init__(self, options: VerifyOptions) -> None:
-        self._options = options
+    def __init__(self, evidence: Path, moved: Sequence[Path]) -> None:
+        self._evidence, self._moved = evidence, moved
         self.recorded: dict[Path, str] = {}
         self.troubles: list[str] = []
         self.hashes = 0
@@ -225,8 +202,8 @@ class _Places:
         """Folder of an input: one named as moved with these files, else where it was."""
         files, what = one['files'], f'{kind} {one.get("name", one["id"])}'
         moved = 'if it has moved, name its folder with --campaign'
-        place = self._options.folder / one['path']
-        for path in self._options.moved:
+        place = self._evidence / one['path']
+        for path in self._moved:
             if all(_sha256(path / name) == sha256 for name, sha256 in files.items()):
                 place = path
         self.recorded[place] = one['path']
@@ -245,18 +222,25 @@ class _Places:
                 )
         return place
 
+    def unused(self) -> Iterator[str]:
+        """What was named as moved and is none of the inputs."""
+        for path in self._moved:
+            if path not in self.recorded:
+                yield (f'--campaign {path}: is none of the inputs, or has changed since the '
+                       'evidence was written')
+
 
 def _sha256(path: Path) -> str:
     return file_sha256(path) if path.is_file() else ''
 
 
 def _compare(
-    content: Mapping[str, Any], again: Collected, options: VerifyOptions, found: Verification
+    content: Mapping[str, Any], again: Collected, path: Path, found: Verification
 ) -> None:
     """Compare every value with that made again; which code made it may differ."""
     written, now = ({**one, 'computed_by': None} for one in (content, again.content))
     wrong = value_differences(written, now)
-    found.damaged += [f'{options.folder / JSON_NAME}: {line}' for line in wrong]
+    found.damaged += [f'{path}: {line}' for line in wrong]
     if not wrong:
         found.checked['values computed again'] = len(dict(_leaves(now)))
 
@@ -295,25 +279,26 @@ def _short(value: Any) -> str:
 
 
 def _drive_again(
-    again: Collected, options: VerifyOptions, found: Verification, on_progress: Progress
+    again: Collected, networks: tuple[str, ...], chosen_by: random.Random, number: int,
+    found: Verification, on_progress: Progress,
 ) -> None:
     """Drive a sample of the runs again and compare them to the bit."""
-    if not options.sample:
+    if not number:
         found.notes.append('no run was driven again, as asked by --sample 0')
         return
     runs: list[tuple[str, RunRow]] = []
     for name in sorted(again.inputs):
         one = again.inputs[name]
         rows = [(name, row) for row in one.recorded.judged if row.run_id in one.bags]
-        why = not_repeatable(one, options.networks) or (
+        why = not_repeatable(one, networks) or (
             '' if rows else 'no run has its bag here, which alone has the exact scene'
         )
         if why:
             found.unchecked.append(f'{one.folder}: no run can be driven again: {why}')
         else:
             runs += rows
-    sample = random.Random(options.seed).sample(runs, min(options.sample, len(runs)))
-    if len(sample) < options.sample and not found.unchecked:
+    sample = chosen_by.sample(runs, min(number, len(runs)))
+    if len(sample) < number and not found.unchecked:
         found.notes.append(f'there are only {len(sample)} runs to drive again')
     loops: dict[str, Loop] = {}
     with tempfile.TemporaryDirectory(prefix='taxinet-evidence-') as scratch:
@@ -325,7 +310,7 @@ def _drive_again(
                 out.mkdir()
                 # From there the bag gets the program's text, as in the campaign.
                 (out / RECORD_NAME).symlink_to((one.folder / RECORD_NAME).resolve())
-                loops[name] = Loop(_loop_options(one, out, options.networks))
+                loops[name] = Loop(_loop_options(one, out, networks))
             if difference := run_difference(one, row, loops[name], out):
                 found.different.append(f'{one.folder / row.run_id}: driven again: {difference}')
             on_progress('runs', done, len(sample))

@@ -44,7 +44,7 @@ from taxinet_ros.extras.flightgear.scene import (
     weather_of,
 )
 
-_TOLD, _REQUEST = '/taxinet/told', '/taxinet/request'
+_VIEW, _REQUEST = '/taxinet/told', '/taxinet/request'
 _RATE = '/sim/frame-rate-throttle-hz'
 _BUSY_HZ, _IDLE_HZ, _IDLE_FRAMES = 0, 5, 600
 """Limit of FlightGear's frame rate while it is in use (none), and so many frames later."""
@@ -60,7 +60,7 @@ if (!contains(globals, "taxinet_told")) {{
       globals.taxinet_since = 0;
     }}
     if (globals.taxinet_since == {_IDLE_FRAMES}) setprop("{_RATE}", {_IDLE_HZ});
-    setprop("{_TOLD}", sprintf("%s %d %.4f %.4f %.4f %.6f %.6f %.6f %.6f %.5f %s %.5f %.1f %s %.4f",
+    setprop("{_VIEW}", sprintf("%s %d %.4f %.4f %.4f %.6f %.6f %.6f %.6f %.5f %s %.5f %.1f %s %.4f",
       request, getprop("/sim/rendering/sim-frame-count") or 0,
       getprop("/sim/current-view/viewer-x-m"), getprop("/sim/current-view/viewer-y-m"),
       getprop("/sim/current-view/viewer-z-m"), getprop("/sim/current-view/raw-orientation[0]"),
@@ -87,8 +87,8 @@ _numbers = itertools.count()
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What FlightGear's frame loop told."""
+class Shown:
+    """What FlightGear shows, as its frame loop tells."""
 
     request: str
     frame: int
@@ -147,7 +147,7 @@ class FlightGearCamera:
     @property
     def sun_elevation_deg(self) -> float:
         """Elevation of FlightGear's sun as its frame loop tells it [deg]."""
-        return 90.0 - math.degrees(_told(self._flightgear.value(_TOLD)).sun_angle_rad)
+        return 90.0 - math.degrees(_parse_shown(self._flightgear.value(_VIEW)).sun_angle_rad)
 
     def close(self) -> None:
         """Nothing: the connection serves the next run of this process."""
@@ -156,11 +156,11 @@ class FlightGearCamera:
         """The whole window's picture from an eye, when it shows it."""
         request = f'{os.getpid()}-{next(_numbers)}'
         self._flightgear.run(_script(request, eye, self._weather, self.lens))
-        told, before = self._look()
-        shown = self._await_view(told, request, eye)
+        view, before = self._view_and_picture()
+        shown = self._await_view(view, request, eye)
         for _ in range(_PICTURES):
             # Asked for since the view is confirmed, beside the view's confirmation once more.
-            after, now = self._look()
+            after, now = self._view_and_picture()
             if after.request != request or self._unlike(after, eye):
                 raise failed(InfraKind.INTRUDER, 'somebody has set it while a picture was taken')
             moved_on = after.frame > shown.frame
@@ -175,43 +175,43 @@ class FlightGearCamera:
             InfraKind.SIM, f'its picture goes on changing, {_PICTURES} times, where it is put'
         )
 
-    def _await_view(self, told: Told, request: str, eye: Eye) -> Told:
+    def _await_view(self, view: Shown, request: str, eye: Eye) -> Shown:
         """Wait until FlightGear's view is where it was put."""
         why = ''
         for _ in range(_POLLS):
-            why = 'it does not take up what was set' if told.request != request else (
-                self._unlike(told, eye)
+            why = 'it does not take up what was set' if view.request != request else (
+                self._unlike(view, eye)
             )
             if not why:
-                return told
-            told = _told(self._flightgear.value(_TOLD))
+                return view
+            view = _parse_shown(self._flightgear.value(_VIEW))
         raise failed(InfraKind.SIM, f'not the requested view after {_POLLS} looks: {why}')
 
-    def _look(self) -> tuple[Told, NDArray[np.uint8]]:
+    def _view_and_picture(self) -> tuple[Shown, NDArray[np.uint8]]:
         """What its frame loop tells and its picture, asked for in one frame."""
-        value, picture = self._flightgear.value_and_picture(_TOLD)
-        return _told(value), picture
+        value, picture = self._flightgear.value_and_picture(_VIEW)
+        return _parse_shown(value), picture
 
-    def _unlike(self, told: Told, eye: Eye) -> str:
+    def _unlike(self, view: Shown, eye: Eye) -> str:
         """What FlightGear shows other than requested; '' for nothing."""
-        away_m = float(np.linalg.norm(told.ecef_m - eye.ecef_m))
+        away_m = float(np.linalg.norm(view.ecef_m - eye.ecef_m))
         if not away_m <= _NEAR_M:
             return f'the eye is {away_m:.3f} m away'
-        turned = min(float(np.linalg.norm(told.attitude + sign * eye.attitude)) for sign in (1, -1))
+        turned = min(float(np.linalg.norm(view.attitude + sign * eye.attitude)) for sign in (1, -1))
         if not turned <= _NEAR_TURN:
             return 'the eye is turned otherwise'
-        if not abs(told.field_of_view_deg - self.lens.field_of_view_deg) <= _NEAR_DEG:
-            return f'the field of view is {told.field_of_view_deg:g} degrees'
+        if not abs(view.field_of_view_deg - self.lens.field_of_view_deg) <= _NEAR_DEG:
+            return f'the field of view is {view.field_of_view_deg:g} degrees'
         wanted = self._weather
-        if told.moment != wanted.moment:
-            return f'its clock is at {told.moment}, not {wanted.moment}'
-        if not abs(told.sun_angle_rad - wanted.sun_angle_rad) <= _NEAR_SUN_RAD:
-            return f'its sun is {np.degrees(told.sun_angle_rad):.1f} degrees from the zenith, ' \
+        if view.moment != wanted.moment:
+            return f'its clock is at {view.moment}, not {wanted.moment}'
+        if not abs(view.sun_angle_rad - wanted.sun_angle_rad) <= _NEAR_SUN_RAD:
+            return f'its sun is {np.degrees(view.sun_angle_rad):.1f} degrees from the zenith, ' \
                 f'ours {np.degrees(wanted.sun_angle_rad):.1f}'
-        if not abs(told.visibility_m - wanted.visibility_m) <= 1.0:
-            return f'its visibility is {told.visibility_m:g} m'
-        if (told.coverage, told.rain) != (wanted.coverage, round(wanted.rain, 4)):
-            return f'its clouds are {told.coverage}, its rain {told.rain:g}'
+        if not abs(view.visibility_m - wanted.visibility_m) <= 1.0:
+            return f'its visibility is {view.visibility_m:g} m'
+        if (view.coverage, view.rain) != (wanted.coverage, round(wanted.rain, 4)):
+            return f'its clouds are {view.coverage}, its rain {view.rain:g}'
         return ''
 
     def _alike(self, one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
@@ -221,13 +221,13 @@ class FlightGearCamera:
         return int(away.max()) <= _EQUAL_CODES and float(away.mean()) <= _ALIKE_CODES
 
 
-def _told(value: object) -> Told:
+def _parse_shown(value: object) -> Shown:
     words = str(value).split()
     try:
         request, frame, *numbers = words[:10]
         x, y, z, *turn, view = map(float, numbers)
         moment, sun, visibility, coverage, rain = words[10:]
-        return Told(
+        return Shown(
             request, int(frame), np.array([x, y, z]), np.array(turn), view, moment,
             float(sun), float(visibility), coverage, float(rain),
         )

@@ -48,10 +48,10 @@ def _of(path: str) -> str:
 
 def flightgear_address() -> tuple[str, int]:
     """Host and port of the FlightGear to ask."""
-    told = os.environ.get(ADDRESS) or DEFAULT_ADDRESS
-    host, _, port = told.rpartition(':')
+    address = os.environ.get(ADDRESS) or DEFAULT_ADDRESS
+    host, _, port = address.rpartition(':')
     if not (host and port.isascii() and port.isdigit() and 0 < int(port) < 65536):
-        raise UsageError(f'{ADDRESS}={told}: expected HOST:PORT, such as {DEFAULT_ADDRESS}')
+        raise UsageError(f'{ADDRESS}={address}: expected HOST:PORT, such as {DEFAULT_ADDRESS}')
     return host, int(port)
 
 

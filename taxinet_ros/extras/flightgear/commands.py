@@ -14,7 +14,7 @@ from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 
 _PLACE = 'bikf_10'
 _PICTURES = 5
-_LOOK_S = 0.2
+_POLL_S = 0.2
 
 app = command_group('FlightGear as a camera: start it, and see whether it works.')
 
@@ -51,7 +51,7 @@ def flightgear_start(
                 f'pictures from {host}:{port}; Ctrl-C ends it', soft_wrap=True,
             )
             while not process.dead:
-                time.sleep(_LOOK_S)
+                time.sleep(_POLL_S)
             raise failed(InfraKind.DIED, f'fgfs ended: {process.how_it_ended}')
     except KeyboardInterrupt:
         console.print('FlightGear ended')

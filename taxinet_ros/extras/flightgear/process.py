@@ -137,15 +137,15 @@ def _display(program: str, size_px: tuple[int, int]) -> Iterator[str]:
         ) as process:
             os.close(writing)
             writing = -1
-            told, begun_s = b'', time.monotonic()
+            number, begun_s = b'', time.monotonic()
             os.set_blocking(reading, False)
-            while not told.endswith(b'\n'):
+            while not number.endswith(b'\n'):
                 with contextlib.suppress(BlockingIOError):
-                    told += os.read(reading, 16)
+                    number += os.read(reading, 16)
                 if process.dead or time.monotonic() - begun_s > _DISPLAY_S:
                     raise failed(InfraKind.DIED, f'Xvfb did not start: {process.how_it_ended}')
                 time.sleep(0.02)
-            yield f':{int(told)}'
+            yield f':{int(number)}'
     finally:
         for one in (reading, writing):
             if one >= 0:

@@ -116,11 +116,11 @@ def _nearest_runway(
         ' out ~= sprintf("%s %.9f %.9f;", name, one.lat, one.lon); }'
         f'setprop("{_OUT}", out);'
     )
-    told = [words.split() for words in str(flightgear.value(_OUT)).split(';') if words]
+    listed = [words.split() for words in str(flightgear.value(_OUT)).split(';') if words]
     try:
-        ends = [(float(latitude), float(longitude)) for _, latitude, longitude in told]
+        ends = [(float(latitude), float(longitude)) for _, latitude, longitude in listed]
     except ValueError:
-        raise failed(InfraKind.PROTOCOL, f'its runways are {str(told)[:60]!r}') from None
+        raise failed(InfraKind.PROTOCOL, f'its runways are {str(listed)[:60]!r}') from None
     if len(ends) < 2:
         raise UsageError(
             f'camera flightgear: it has no runway of {place.icao or place.name}; take a place that '
@@ -147,11 +147,13 @@ def _heights(
             ' out ~= solid ? sprintf("%.4f ", info[0]) : "inf "; }'
             f'setprop("{_OUT}", out);'
         )
-        told = str(flightgear.value(_OUT)).split()
-        if len(told) != len(some):
-            raise failed(InfraKind.PROTOCOL, f'{len(told)} ground heights for {len(some)} points')
+        heights = str(flightgear.value(_OUT)).split()
+        if len(heights) != len(some):
+            raise failed(
+                InfraKind.PROTOCOL, f'{len(heights)} ground heights for {len(some)} points'
+            )
         try:
-            yield from map(float, told)
+            yield from map(float, heights)
         except ValueError as error:
             raise failed(InfraKind.PROTOCOL, f'its ground heights: {error}') from None
 

@@ -133,7 +133,7 @@ def show_forecast(
         )
     if plot is not None and (plot.suffix != '.png' or not plot.parent.is_dir() or plot.exists()):
         raise UsageError(f'--plot {plot}: expected a new .png file in an existing folder')
-    shown, told = [], []
+    shown, values = [], []
     for bag in bags:
         with readable_bags():
             recording = _one_run(open_recording(bag), run_id)
@@ -141,7 +141,7 @@ def show_forecast(
             bounds = forecast.bounds_of(recording, confidence=confidence, until_s=at_s)
         if not bounds:
             raise UsageError(f'{bag}: has no control step with a robustness yet')
-        told.append(_run_json(recording, bounds, confidence, outside))
+        values.append(_run_json(recording, bounds, confidence, outside))
         final = _final(forecast, recording)
         shown.append(ShownRun(
             title=f'{recording.run_id}: {_ending(final)}'
@@ -151,21 +151,21 @@ def show_forecast(
     if plot is not None:
         picture = forecast_picture(shown, confidence=confidence, spec=forecast.spec)
         write_atomically(plot, png_bytes(picture, LIGHT))
-    _print('shown', as_json, told, spec=forecast.spec, plot=plot)
-    return ExitCode.INCOMPLETE if any(one['outside'] for one in told) else ExitCode.OK
+    _print('shown', as_json, values, spec=forecast.spec, plot=plot)
+    return ExitCode.INCOMPLETE if any(one['outside'] for one in values) else ExitCode.OK
 
 
-def _print(block: str, as_json: bool, told: Any, **more: Any) -> None:
+def _print(block: str, as_json: bool, values: Any, **more: Any) -> None:
     """Print values as JSON, or by a block of the template ``show.j2``."""
     if as_json:
-        print(json.dumps(told, indent=2, allow_nan=False))
+        print(json.dumps(values, indent=2, allow_nan=False))
         return
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )
     macros = environment.get_template('show.j2').module
-    print(getattr(macros, block)(told, **more), end='')
+    print(getattr(macros, block)(values, **more), end='')
 
 
 def _one_run(recording: Recording, run_id: str | None) -> Recording:

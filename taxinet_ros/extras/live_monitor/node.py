@@ -169,9 +169,9 @@ def _sampler(sampled_on: str, names: Sequence[str]) -> str:
     return sampled_on or names[0]
 
 
-_LOOK_S = 0.1
-_TELL_S = 1.0
-_REMIND = 5
+_FIND_PERIOD_S = 0.1
+_STATUS_PERIOD_S = 1.0
+_REMINDER_TICKS = 5
 """Number of diagnostics after which the log repeats what is awaited."""
 
 
@@ -187,7 +187,7 @@ class LiveMonitor(Node):
         super().__init__(NAME, **node)
         self.ended: Future = Future()
         self._options = declared_options(self)
-        self._speak = {
+        self._outputs = {
             name: self.create_publisher(kind, topic, qos)
             for name, (kind, topic, qos) in outputs.OUTPUTS.items()
         }
@@ -196,13 +196,13 @@ class LiveMonitor(Node):
         self._clock_missing = False
         self._stretch_number = 0
         self._begin_stretch()
-        self._told = 0
+        self._ticks = 0
         self._last_sample_ns = self._steady_ns()
         self.create_service(Trigger, RESTART, self._restart)
         # Graph discovery and operators use wall time, whatever clock the robot uses.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._looking = self.create_timer(_LOOK_S, self._look, clock=steady)
-        self.create_timer(_TELL_S, self._tell_regularly, clock=steady)
+        self._finding = self.create_timer(_FIND_PERIOD_S, self._find_publishers, clock=steady)
+        self.create_timer(_STATUS_PERIOD_S, self._publish_status_regularly, clock=steady)
         for spec in self._options.specs:
             self.get_logger().info(f'{spec.name}: {spec.text}')
 
@@ -249,21 +249,21 @@ class LiveMonitor(Node):
             assumptions=options.assumptions,
         )
 
-    def _look(self) -> None:
+    def _find_publishers(self) -> None:
         """Subscribe to available topics; once all are available, publish the specs."""
         if self.ended.done():
             return
         try:
-            heard = [reader.look() for reader in self._readers.values()]
+            found = [reader.find_publishers() for reader in self._readers.values()]
         except UsageError as error:
-            self._looking.cancel()
+            self._finding.cancel()
             self.ended.set_exception(UsageError(f'{self.get_name()}: {error}'))
             return
-        if all(heard) and not self._looking.is_canceled():
-            self._looking.cancel()
-            self._tell_specs()
+        if all(found) and not self._finding.is_canceled():
+            self._finding.cancel()
+            self._publish_specs()
 
-    def _tell_specs(self) -> None:
+    def _publish_specs(self) -> None:
         options = self._options
         signals = [
             {
@@ -272,7 +272,7 @@ class LiveMonitor(Node):
             }
             for topic, reader in self._readers.items() for source in reader.sources
         ]
-        self._speak['specs'].publish(outputs.specs_message(
+        self._outputs['specs'].publish(outputs.specs_message(
             options.specs, signals, sampled_on=options.sampled_on,
             max_age=options.max_age_ns / NS_PER_S, horizon=options.horizon_ns / NS_PER_S,
             time_source='clock' if options.by_clock else 'header',
@@ -300,10 +300,10 @@ class LiveMonitor(Node):
         self._newest_ns = sample.stamp_ns
         results = self._results()
         for result in results:
-            self._speak['robustness'].publish(result)
+            self._outputs['robustness'].publish(result)
         if any(changed) or self._seq == 0 or self._stretch.ended:
-            self._speak['verdict'].publish(outputs.verdict_message(results))
-            self._tell()
+            self._outputs['verdict'].publish(outputs.verdict_message(results))
+            self._publish_status()
             self._log(changed)
         if beyond and self._options.repeat:
             self._judge(sample)
@@ -321,11 +321,11 @@ class LiveMonitor(Node):
         lines = '; '.join(self._lines())
         response.success = True
         response.message = f'{self._run_id} ended at {self._stretch.length_s:g} s: {lines}'
-        self._speak['verdict'].publish(outputs.verdict_message(self._results()))
+        self._outputs['verdict'].publish(outputs.verdict_message(self._results()))
         self.get_logger().info(response.message)
         self._holder.restart()
         self._begin_stretch()
-        self._tell()
+        self._publish_status()
         return response
 
     def _lines(self) -> list[str]:
@@ -341,17 +341,17 @@ class LiveMonitor(Node):
             else:  # rclpy allows only one severity per line of code
                 self.get_logger().error(line)
 
-    def _tell_regularly(self) -> None:
-        self._look()
+    def _publish_status_regularly(self) -> None:
+        self._find_publishers()
         awaited = self._awaited()
-        if awaited and self._told % _REMIND == 0:
+        if awaited and self._ticks % _REMINDER_TICKS == 0:
             self.get_logger().warning(awaited)
-        self._told += 1
-        self._tell()
+        self._ticks += 1
+        self._publish_status()
 
     def _awaited(self) -> str:
         """What the first sample is waiting for, or ''."""
-        absent = [reader.absence() for reader in self._readers.values() if not reader.received]
+        absent = [reader.awaited() for reader in self._readers.values() if not reader.received]
         if absent:
             return '; '.join(absent)
         if self._clock_missing:
@@ -368,7 +368,7 @@ class LiveMonitor(Node):
             return ''
         return f'no sample for {silent_ns / NS_PER_S:.1f} s'
 
-    def _tell(self) -> None:
+    def _publish_status(self) -> None:
         """Publish the current diagnostics."""
         node, awaited = self.get_name(), self._awaited()
         silence = awaited or self._silence()
@@ -385,7 +385,7 @@ class LiveMonitor(Node):
         statuses.append(outputs.status(level, f'{node}: signals', line, values))
         stamp_ns = self.get_clock().now().nanoseconds
         message = DiagnosticArray(header=header(stamp_ns, ''), status=statuses)
-        self._speak['diagnostics'].publish(message)
+        self._outputs['diagnostics'].publish(message)
 
     @staticmethod
     def _steady_ns() -> int:

@@ -93,10 +93,10 @@ def _member(done: FieldPath, kind: str, name: str, fields_of: FieldsOf) -> str:
     fields = fields_of(kind)
     if name not in fields:
         near = difflib.get_close_matches(name, fields, 1)
-        told = f'; did you mean {near[0]}?' if near else ''
+        hint = f'; did you mean {near[0]}?' if near else ''
         owner = f'{done} ({kind})' if done.steps else kind
         listed = ', '.join(fields) or 'none'
-        raise UsageError(f'{owner} has no field {name!r}{told}; its fields: {listed}')
+        raise UsageError(f'{owner} has no field {name!r}{hint}; its fields: {listed}')
     return fields[name]
 
 

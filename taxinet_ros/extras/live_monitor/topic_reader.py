@@ -108,7 +108,7 @@ class TopicReader:
     def __init__(
         self, node: Node, topic: str, sources: Sequence[SignalSource], on_message: OnMessage
     ) -> None:
-        """Prepare; nothing is received before :meth:`look` finds a publisher."""
+        """Prepare; nothing is received before :meth:`find_publishers` finds a publisher."""
         self.topic = topic
         self.sources = tuple(sources)
         self.type_name = ''
@@ -116,7 +116,7 @@ class TopicReader:
         self._node = node
         self._on_message = on_message
         self._qos: QoSProfile | None = None
-        self._heard: Subscription | None = None
+        self._subscription: Subscription | None = None
         self._stamped = False
 
     @property
@@ -124,13 +124,13 @@ class TopicReader:
         """Quality of service of the subscription, or ''."""
         return qos_words(self._qos) if self._qos is not None else ''
 
-    def look(self) -> bool:
+    def find_publishers(self) -> bool:
         """Match the subscription to the current publishers; return whether there is one."""
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         if self.type_name:
             publishers = [info for info in publishers if info.topic_type == self.type_name]
         if not publishers:
-            return self._heard is not None
+            return self._subscription is not None
         if not self.type_name:
             self._identify(offered_type(self.topic, publishers))
         qos = matching_qos(publishers)
@@ -138,15 +138,15 @@ class TopicReader:
             self._subscribe(qos)
         return True
 
-    def absence(self) -> str:
+    def awaited(self) -> str:
         """One line on what is awaited, with a similar topic name if any."""
         names = ', '.join(source.name for source in self.sources)
-        if self._heard is not None:
+        if self._subscription is not None:
             return f'waiting for the first message on {self.topic} (signal {names})'
         topics = [name for name, _ in self._node.get_topic_names_and_types()]
         near = difflib.get_close_matches(self.topic, set(topics) - {self.topic}, 1)
-        told = f'; did you mean {near[0]}?' if near else ''
-        return f'waiting for a publisher of {self.topic} (signal {names}){told}'
+        hint = f'; did you mean {near[0]}?' if near else ''
+        return f'waiting for a publisher of {self.topic} (signal {names}){hint}'
 
     def _identify(self, type_name: str) -> None:
         try:
@@ -162,10 +162,10 @@ class TopicReader:
         self.type_name = type_name
 
     def _subscribe(self, qos: QoSProfile) -> None:
-        if self._heard is not None:
-            self._node.destroy_subscription(self._heard)
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
         self._qos = qos
-        self._heard = self._node.create_subscription(
+        self._subscription = self._node.create_subscription(
             message_class(self.type_name), self.topic, self._take, qos
         )
         self._node.get_logger().info(f'{self.topic}: {self.type_name}, {self.qos}')

@@ -139,13 +139,13 @@ def parse_rows(reply: bytes, count: int) -> list[tuple[float, ...]]:
     """Read the reply to GETD, ``RESP``: one row of values for each name; empty if it is unknown."""
     rows, at = [], 6
     try:
-        told = reply[5] if reply[:4] == b'RESP' else -1
+        given = reply[5] if reply[:4] == b'RESP' else -1
         for _ in range(count):
             rows.append(struct.unpack_from(f'<{reply[at]}f', reply, at + 1))
             at += 1 + 4 * reply[at]
     except (IndexError, struct.error):
-        told = -1
-    if told != count:
+        given = -1
+    if given != count:
         raise _malformed(reply, f'RESP with {count} whole rows')
     if not all(math.isfinite(one) for row in rows for one in row):
         raise failed(InfraKind.PROTOCOL, f'XPlaneConnect: values {rows!r:.80} are not finite')

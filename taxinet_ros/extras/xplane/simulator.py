@@ -149,7 +149,7 @@ class XPlane:
 
     def close(self, *overrides: str) -> None:
         """Let the aircraft go, end further overrides, resume the simulation, and disconnect."""
-        with self._opened, contextlib.suppress(InfraError):  # it is gone, which has been told
+        with self._opened, contextlib.suppress(InfraError):  # it is gone, which has been said
             for _ in range(_RELEASES):  # over UDP nothing is confirmed
                 for name in (*overrides, HELD):
                     self.link.write(name, 0.0)
@@ -293,13 +293,13 @@ class XPlane:
         """Check that a setting is read back as it was set."""
         (now,) = self.link.read(wanted.name)
         asked = wanted.value if isinstance(wanted.value, tuple) else (wanted.value,)
-        told = now if isinstance(now, tuple) else (_number(wanted.name, now),)
-        if len(asked) > len(told) or any(
+        read = now if isinstance(now, tuple) else (_number(wanted.name, now),)
+        if len(asked) > len(read) or any(
             abs(one - other) > wanted.within + 1e-5 * abs(one)
-            for one, other in zip(asked, told, strict=False)
+            for one, other in zip(asked, read, strict=False)
         ):
             raise failed(
-                InfraKind.SIM, f'{wanted.name} is {_short(told)} after it was set to '
+                InfraKind.SIM, f'{wanted.name} is {_short(read)} after it was set to '
                 f'{_short(asked)}'
             )
 

@@ -62,7 +62,7 @@ class WebApi:
         self._connection = http.client.HTTPConnection(address_of(host), port, timeout=timeout_s)
         self._timeout_s, self._tries = timeout_s, tries
         self._known: dict[str, Dataref] = {}
-        self._asked, self._told = '', b''
+        self._asked, self._answer = '', b''
         try:
             self.version, api = self._again(self._negotiate)
         except BaseException:
@@ -71,13 +71,13 @@ class WebApi:
         self._api, self.words = f'/api/{api}', f'web API {api} at {host}:{port}'
 
     def _negotiate(self) -> tuple[str, str]:
-        told = self._ask('GET', '/api/capabilities', optional=True)
-        if told is None:
+        answer = self._ask('GET', '/api/capabilities', optional=True)
+        if answer is None:
             raise failed(
                 InfraKind.PROTOCOL, f'{self.words}: it has no /api/capabilities; X-Plane 12.1.4 or '
                 'newer is needed'
             )
-        version, offered = str(told['x-plane']['version']), list(told['api']['versions'])
+        version, offered = str(answer['x-plane']['version']), list(answer['api']['versions'])
         common = [one for one in VERSIONS if one in offered]
         if not common:
             raise failed(
@@ -142,12 +142,14 @@ class WebApi:
         if name not in self._known:
             path, index = split_name(name)
             # X-Plane 11 has datarefs whose names end in an index; X-Plane 12 still knows them.
-            told = self._described('datarefs', name, optional=index is not None)
-            if told is None:
-                told = self._described('datarefs', path)
+            answer = self._described('datarefs', name, optional=index is not None)
+            if answer is None:
+                answer = self._described('datarefs', path)
             else:
                 index = None
-            found = Dataref(told['id'], str(told['value_type']), bool(told['is_writable']), index)
+            found = Dataref(
+                answer['id'], str(answer['value_type']), bool(answer['is_writable']), index
+            )
             if index is not None and not found.type.endswith('_array'):
                 raise failed(
                     InfraKind.PROTOCOL, f'{self.words}: {path} is {found.type}, no array'
@@ -157,9 +159,9 @@ class WebApi:
 
     def _described(self, kind: str, name: str, *, optional: bool = False) -> Any:
         path = f'{self._api}/{kind}?filter[name]={quote(name, safe="/")}'
-        told = self._ask('GET', path, optional=True)
+        answer = self._ask('GET', path, optional=True)
         named = [
-            one for one in (told['data'] if told else ())
+            one for one in (answer['data'] if answer else ())
             if one['name'] == name and isinstance(one['id'], int)
         ]
         if named or optional:
@@ -187,7 +189,7 @@ class WebApi:
             except (LookupError, TypeError, ValueError, OverflowError) as error:
                 raise failed(
                     InfraKind.PROTOCOL,
-                    f'{self.words}: {self._asked} is answered by {self._told!r:.120}',
+                    f'{self.words}: {self._asked} is answered by {self._answer!r:.120}',
                 ) from error
         times = f'{tries} request{"s" if tries > 1 else ""} of {self._timeout_s:g} s'
         if isinstance(trouble, TimeoutError):
@@ -204,7 +206,7 @@ class WebApi:
         self._connection.request(method, path, body, _HEADERS)
         response = self._connection.getresponse()
         data = response.read(_MOST_BYTES)
-        self._asked, self._told = path, data
+        self._asked, self._answer = path, data
         if response.status == 404 and optional:
             return None
         if response.status == 403:

@@ -15,11 +15,10 @@ from mcap.records import Channel, Chunk, Header, Message, Schema
 from taxinet_ros.bag.cdr.decode import decode, definition_hash
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
-from taxinet_ros.bag.reader import read_info, read_messages, stored_messages
+from taxinet_ros.bag.reader import read_messages, stored_messages
 from taxinet_ros.bag.run.tables import units_of
 from taxinet_ros.bag.storage.records import MAGIC, encode
 from taxinet_ros.bag.topics import TopicInfo
-from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import MAX_CHARS, dump_yaml, load_yaml
 
 pytestmark = pytest.mark.nightly
@@ -36,16 +35,6 @@ def test_given_no_ros2_mcap_when_read_then_the_error_says_what_it_is(
 ) -> None:
     with pytest.raises(kind, match=reason):
         list(read_messages(damaged(content)))
-
-
-def test_given_no_bag_when_read_then_the_error_says_what_is_there(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match='no such bag'):
-        list(read_messages(tmp_path / 'nothing'))
-    with pytest.raises(BagEmpty, match=r'contains no \.mcap'):
-        read_info(tmp_path)
-    (tmp_path / 'run_0.db3').touch()
-    with pytest.raises(BagForeign, match='ros2 bag convert'):
-        read_info(tmp_path)
 
 
 @pytest.mark.parametrize(('data', 'declared', 'compression', 'crc', 'reason'), [

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from campaign_records import write_campaign
 
 from taxinet_ros.analysis.fault_localisation import Blame, Suffices, judge_case
 from taxinet_ros.campaign.past_runs.localisation import localize, make_localize_options
@@ -26,8 +27,6 @@ from taxinet_ros.campaign.past_runs.trials import (
     TrialSystem,
     make_trial,
 )
-from taxinet_ros.campaign.record.content import ROW, run_key
-from taxinet_ros.campaign.record.facts import FACTS
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
@@ -78,11 +77,10 @@ def failed_campaign(
             left_runway=trial.left_runway, max_cross_track_m=trial.max_cross_track_m,
             settle_time_s=trial.settle_time_s,
         ))
-    with Record(folder / RECORD_NAME) as record:
-        record.put_all([(FACTS, '', {
-            'program': 's_falsif.scenic', 'seed': 3, 'runs': len(rows), 'perception': perception,
-            'specs': {SPEC: FORMULA}, 'gains': dict(gains), 'stop_on': 'never',
-        }), *((ROW, run_key(row.index), row.to_json()) for row in rows)])
+    write_campaign(folder, rows, {
+        'program': 's_falsif.scenic', 'seed': 3, 'runs': len(rows), 'perception': perception,
+        'specs': {SPEC: FORMULA}, 'gains': dict(gains), 'stop_on': 'never',
+    })
     return rows
 
 

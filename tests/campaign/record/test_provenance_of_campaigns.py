@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import falsify_samples as toy
@@ -12,8 +11,8 @@ from taxinet_ros.analysis.campaign.report import stack_sentences
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.record import facts as facts_module
-from taxinet_ros.campaign.record.facts import FACTS_NAME, STACKS, recorded_stacks, this_stack
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.campaign.record.facts import STACKS, recorded_stacks, this_stack
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import provenance
@@ -33,18 +32,15 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(facts_module, 'provenance', lambda: ELSEWHERE)
 
 
-def test_provenance_is_in_campaign_ledger_rows_and_table(tmp_path):
+def test_provenance_is_in_record_rows_and_table(tmp_path):
     toy.finish(toy.options(tmp_path))
     record = {this_stack(): dict(provenance())}
-    assert json.loads((tmp_path / FACTS_NAME).read_text())[STACKS] == record
-    content = read_ledger(tmp_path / 'ledger.jsonl')
-    assert recorded_stacks(content.campaign) == record
+    content = read_campaign(tmp_path)
+    assert content.facts[STACKS] == recorded_stacks(content.facts) == record
     assert {row.stack for row in content.rows} == {this_stack()}
-    table = read_table(tmp_path)
-    assert set(table['stack']) == {this_stack()}
-    assert table.attrs[STACKS] == record
-    (tmp_path / FACTS_NAME).unlink()
-    assert recorded_stacks(read_table(tmp_path).attrs) == record, 'the file alone tells it, too'
+    for table in (read_table(tmp_path), read_table(tmp_path / 'runs.parquet')):
+        assert set(table['stack']) == {this_stack()}
+        assert table.attrs[STACKS] == record
 
 
 def test_provenance_of_a_search_resumed_elsewhere_is_kept_for_each_sitting_and_warned_of(

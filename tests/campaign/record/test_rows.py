@@ -16,12 +16,6 @@ from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.campaign.summary import campaign_summary, row_line, stopped_words
-from taxinet_ros.campaign.worker_pool import (
-    request_from_json,
-    request_to_json,
-    result_from_json,
-    result_to_json,
-)
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judging import Judging, StopOn
@@ -110,15 +104,6 @@ def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told
     assert stopped_words(rows[1:]) == []
     words = campaign_summary(rows, falsify_samples.options(tmp_path).campaign)
     assert '0 off the runway before they were stopped' in words
-
-
-def test_given_requests_and_results_when_they_travel_then_the_rule_and_the_interval_do_too():
-    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(),
-                       judging=Judging(specs=SPECS, stop_on=StopOn.DECIDED, rates=('cte=3',)),
-                       participants=('a',))
-    assert request_from_json(request_to_json(asked)) == asked
-    answer = result(0, stopped=True)
-    assert result_from_json(result_to_json(answer)) == answer
 
 
 @pytest.mark.parametrize('made', [

@@ -11,11 +11,11 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from campaign_records import write_campaign
 from rich.console import Console
 
 from taxinet_ros.campaign.past_runs.judged_run import find_run
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.record.content import read_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.scenes.programs import scenario_program
@@ -69,15 +69,14 @@ def judged(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
 
 def campaign(folder: Path, scenario: Scenario = WET, **changes: Any) -> Path:
     """A campaign with one run and no bag; the path of the run."""
-    folder.mkdir()
     request = RunRequest(run_id='p-s7-00000', index=0, program='p', seed=7, scenario=scenario,
                          judging=Judging(specs=(NAME,)), participants=())
     result = judged(request, changes.pop('outcome', None))
-    row = RunRow.of_run(request, result, perception='truth', sim_s=1.0).to_json()
-    with Ledger(folder / LEDGER_NAME) as ledger:
-        ledger.campaign({'specs': {NAME: 'eventually[0:10](always(abs(cte) <= 1.5))'},
-                         'gains': {'heading_gain': 1.5}})
-        ledger.result(RunRow.from_json({**row, **changes}))
+    row = RunRow.of_run(request, result, perception='truth', sim_s=1.0)
+    write_campaign(folder, [dataclasses.replace(row, **changes)], {
+        'specs': {NAME: 'eventually[0:10](always(abs(cte) <= 1.5))'},
+        'gains': {'heading_gain': 1.5},
+    })
     return folder / request.run_id
 
 
@@ -137,9 +136,7 @@ def test_given_a_failed_run_then_what_matters_is_found_and_every_run_is_on_recor
     assert len(table) == len(shrinking.rows) >= found.state.asked
     assert set(table['sampler']) == {'shrink'}
     assert table['distance_m'].between(420, 1000).all()
-    events = [json.loads(line) for line in (out / LEDGER_NAME).read_text().splitlines()]
-    assert [event['event'] for event in events[:2]] == ['campaign', 'intent']
-    facts = json.loads((out / 'campaign.json').read_text())
+    facts = read_campaign(out).facts
     assert facts['shrinks'] == 'p-s7-00000'
     assert facts['gains'] == {'heading_gain': 1.5}
 
@@ -152,14 +149,14 @@ def test_given_an_interrupt_when_resumed_then_nothing_is_run_twice_and_the_resul
     begun = drive(options(path, out, workers=2), most=6)
     assert make_report(begun).state.end is End.NOT_YET
     assert begun.interrupted
-    rows = read_ledger(out / LEDGER_NAME).rows
+    rows = read_campaign(out).rows
     assert sum(row.outcome is Outcome.INTERRUPTED for row in rows) == 1
     done = drive(options(path, out, resume=True))
     assert shrunk(done) == shrunk(whole) == NEAREST
     assert make_report(done).state == make_report(whole).state
     scenes = [json.dumps(row.to_json(), default=str) for row in done.rows]
     assert len(scenes) == len(set(scenes))
-    judged_rows = [row for row in read_ledger(out / LEDGER_NAME).rows if row.outcome.judged]
+    judged_rows = [row for row in read_campaign(out).rows if row.outcome.judged]
     assert len(judged_rows) <= len(whole.rows) + 2, 'at most those that were run on a guess'
 
 
@@ -328,7 +325,7 @@ RUNS: dict[str, tuple[dict[str, Any], str]] = {
     'passed': ({'scenario': Scenario()}, 'satisfied phi_eventually with rho +0.30'),
     'broken': ({'outcome': Outcome.INFRA_ERROR}, 'INFRA_ERROR, so it was never judged'),
     'rejected': ({'outcome': Outcome.REJECTED, 'distance_m': None}, 'no scene was drawn'),
-    'other weights': ({'perception_fingerprint': 'ab' * 32},
+    'other weights': ({'fingerprint': 'ab' * 32},
                       'truth is without weights now, it was abababababab; --perception truth'),
     'lost file': ({'perception': 'gone.onnx'}, 'say with --perception where it is'),
 }

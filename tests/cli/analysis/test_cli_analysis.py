@@ -165,7 +165,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     assert re.search(rf'<h3>The worst run, [^<]*: <a href="#run={worst}">', first_screen)
     assert 'class="worst-path"' in first_screen
     whole = trials.read_bytes()
-    trials.write_bytes(whole.replace(b'as-recorded', b'as-recorder', 1))
+    trials.write_bytes(whole.replace(b'as-recorded', b'as-recorder'))
     done = taxinet('doctor', 'l', cwd=folder)
     trials.write_bytes(whole)
     assert (done.returncode, 'campaign.db: damaged' in done.stdout) == (3, True)

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import pandas as pd
 import pytest
+from campaign_records import write_campaign
 
 from taxinet_ros.analysis import network_check
 from taxinet_ros.analysis.network_check import NetworkCheck, fixed_scenes, scenes_digest
@@ -16,9 +17,7 @@ from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.past_runs.trials import Trial
 from taxinet_ros.campaign.record.book import finished_row, run_request
-from taxinet_ros.campaign.record.content import ROW, run_key
-from taxinet_ros.campaign.record.facts import FACTS, campaign_facts
-from taxinet_ros.campaign.record.table import write_tables
+from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.cli.analysis import check
@@ -26,7 +25,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.files.record import RECORD_NAME, Record, read_record
+from taxinet_ros.files.record import RECORD_NAME, read_record
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
 
@@ -48,12 +47,7 @@ def campaign(folder: Path, violated: set[int], *, runs: int = 80, seed: int = 7,
             robustness=exact_intervals({'phi_always': -1.0 if index in violated else 0.5}),
         )) for index in range(runs)
     ]
-    with Record(folder / RECORD_NAME) as record:
-        record.put_all([(FACTS, '', facts), *(
-            (ROW, run_key(row.index), row.to_json()) for row in rows
-        )])
-    write_tables(rows, folder, facts)
-    return folder
+    return write_campaign(folder, rows, facts)
 
 
 @pytest.fixture

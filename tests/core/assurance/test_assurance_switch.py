@@ -111,7 +111,6 @@ def test_given_a_fork_then_the_monitor_sees_the_whole_run():
 def mine(tmp_path):
     (tmp_path / 'm.py').write_text(
         'def often(seen):\n    return seen.estimate.cte_m\n'
-        'def wrong(seen):\n    return "high"\n'
         'def blind(truth):\n    return 0.0, 0.0\nblind.needs_image = False\n'
     )
     return tmp_path / 'm.py'
@@ -146,11 +145,13 @@ def test_given_a_monitor_of_another_perception_then_it_is_said_and_who_cannot_be
         tx.run(tx.Scenario(duration_s=0.5), controller='steering+original+watch')
 
 
-def test_given_a_monitor_that_returns_no_number_then_the_run_ends_with_its_line(mine):
+@pytest.mark.parametrize('answer', ["'high'", "'0.5'", 'True', "float('nan')"])
+def test_given_a_monitor_that_returns_no_number_then_the_run_ends_with_its_line(mine, answer):
+    mine.write_text(f'def wrong(seen):\n    return {answer}\n')
     switch = make_controller(f'steering+{mine}:wrong+stop', SteeringGains())
     switch.begin(Scenario())
     switch.see(IMAGE)
-    with pytest.raises(RuntimeError, match="wrong returned 'high'; expected a number"):
+    with pytest.raises(RuntimeError, match=f'wrong returned {eval(answer)!r}; expected a number'):
         switch.command(LEFT)
 
 

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from campaign_records import write_campaign
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.record.facts import write_facts
-from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.perception.weights import SHIPPED, load_card
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -58,7 +56,6 @@ def planted(
     planned: int | None = None, **facts: object,
 ) -> Path:
     """Write a finished campaign of these outcomes, in order."""
-    folder.mkdir(parents=True)
     specs = {'phi': 'always((abs(cte) <= 1.5))'}
     if UNDECIDED in outcomes:
         specs['other'] = 'always((abs(cte) <= 9))'
@@ -79,16 +76,8 @@ def planted(
         'engine': 'loop', 'audit_percent': 0.0, 'images': 'none',
         'sampler': 'random' if all(each) else 'ce', **facts,
     }
-    with Ledger(folder / 'ledger.jsonl') as ledger:
-        ledger.campaign(told)
-        for one in rows:
-            ledger.intent(one.index, one.run_id, f'{seed:032d}{one.index:032d}')
-            ledger.result(one)
-        if not finished:
-            ledger.intent(len(rows), f'planted-s{seed}-{len(rows):05d}')
-    write_facts(folder, told)
-    write_tables(rows, folder, list(specs))
-    return folder
+    begun = () if finished else [len(rows)]
+    return write_campaign(folder, rows, told, begun=begun, ended=finished)
 
 
 def trial(

@@ -16,13 +16,14 @@ from planted_evidence import FAIL, PASS, judged_monitor, planted
 import taxinet_ros as tx
 from taxinet_ros.campaign.past_runs.localisation import make_localize_options
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.ledger import Ledger
+from taxinet_ros.campaign.record.content import BEGUN, run_key
 from taxinet_ros.cli.analysis.localize import run_localize
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.evidence import verify as verifying
 from taxinet_ros.extras.evidence.argument import goals, mermaid, parse_argument
 from taxinet_ros.extras.evidence.evidence import manifest_text
-from taxinet_ros.extras.evidence.verify import VerifyOptions, value_differences, verify
+from taxinet_ros.extras.evidence.verify import value_differences, verify
+from taxinet_ros.files.record import RECORD_NAME, Record
 
 TAXINET = Path(sys.executable).with_name('taxinet')
 NAMES = {'MANIFEST', 'argument.mmd', 'evidence.html', 'evidence.json'}
@@ -60,7 +61,7 @@ def proven(driven) -> Path:
 
 
 def verified(folder, **options):
-    return verify(VerifyOptions(folder=folder, **{'sample': 0, **options}))
+    return verify(folder, **{'sample': 0, **options})
 
 
 def made(tmp_path, *outcomes, out='evidence', **options):
@@ -148,7 +149,7 @@ def test_given_evidence_of_real_runs_when_verified_then_all_holds_and_runs_repea
     found = tx.verify_evidence(proven, sample=2, seed=1)
     assert found.holds, (found.damaged, found.different, found.unchecked)
     assert found.checked['files'] == 4
-    assert found.checked['hashes of inputs'] == 5
+    assert found.checked['hashes of inputs'] == 4
     assert found.checked['runs driven again, equal to the bit'] == 2
     assert found.checked['values computed again'] > 200
     assert found.notes == []
@@ -261,11 +262,11 @@ def test_given_a_campaign_that_went_on_since_then_it_is_named_as_changed(tmp_pat
     out = made(tmp_path)
     assert verified(out, sample=3).code == ExitCode.INCOMPLETE
     assert any('no run has its bag here' in line for line in verified(out, sample=3).unchecked)
-    with Ledger(tmp_path / 'found' / 'ledger.jsonl') as ledger:
-        ledger.intent(3, 'planted-s0-00003')
+    with Record(tmp_path / 'found' / RECORD_NAME) as record:
+        record.put(BEGUN, run_key(3), 1)
     found = verified(out)
     assert found.code == ExitCode.USAGE
-    assert any('ledger.jsonl: has changed since the evidence was written' in line
+    assert any('campaign.db: has changed since the evidence was written' in line
                for line in found.damaged)
 
 

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from tampering import tamper
 from waiting import wait_for
 
-from taxinet_ros.core.pacing.timing import free_timing
+from taxinet_ros.core.pacing.timing import AT_ONCE, free_timing
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
@@ -144,45 +144,37 @@ def test_ros21_given_a_graph_at_work_then_each_node_tells_how_it_is_doing(tmp_pa
     assert bags[0] == bags[1], 'who asks how it goes has changed the bag'
 
 
-def test_ros21_given_a_controller_that_is_silent_then_the_simulator_warns_and_names_it(tmp_path):
+@pytest.mark.parametrize('timing', [AT_ONCE, free_timing('1')], ids=['lockstep', 'free'])
+def test_ros21_given_a_controller_that_is_silent_then_the_simulator_warns_and_names_it(
+    timing, tmp_path
+):
     options = GraphOptions(
-        perception='truth', out=tmp_path, images='none', timeouts={'answer_timeout': 600.0})
-    with composed_graph(options) as graph, gathering(graph.domain) as gatherer:
-        tamper(graph, interface.COMMAND, lambda step, message: [message] if step < 5 else [])
-        dead = death_notice('run', STEERING_CONTROLLER, 'nobody knows why')
-        # A busy machine makes others slow for a moment as well: the one who stays silent remains.
-        with once(
-            lambda: gatherer.told(SIMULATOR, WARN, f's for {STEERING_CONTROLLER}$'),
-            lambda: gatherer.obituaries.publish(dead),
-        ):
-            (result,) = run(graph, request())
-        warned = gatherer.told(SIMULATOR, WARN, f's for {STEERING_CONTROLLER}$')
-        after = simulator_of(graph)._diagnose()
-        assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, STEERING_CONTROLLER)
-        assert values_of(warned)['waits for'] == STEERING_CONTROLLER
-        assert float(values_of(warned)['silent for [s]']) > 0.3
-        assert after.level == ERROR
-        assert f'run run broke: died {STEERING_CONTROLLER}' in after.message
-        assert (after.values['runs ended'], after.values['runs INFRA_ERROR']) == (1, 1)
-
-
-def test_ros21_given_a_free_run_then_what_was_dropped_is_told_and_who_is_silent(tmp_path):
-    options = GraphOptions(
-        perception='truth', out=tmp_path, images='none', timing=free_timing('1'),
+        perception='truth', out=tmp_path, images='none', timing=timing,
         timeouts={'answer_timeout': 600.0},
     )
+    # A busy machine makes others slow for a moment as well: the one who stays silent remains.
+    how = f's for {STEERING_CONTROLLER}$' if timing is AT_ONCE else STEERING_CONTROLLER
+    warning = SIMULATOR, WARN, how
     with composed_graph(options) as graph, gathering(graph.domain) as gatherer:
         tamper(graph, interface.COMMAND, lambda step, message: [message] if step < 5 else [])
         dead = death_notice('run', STEERING_CONTROLLER, 'nobody knows why')
         with once(
-            lambda: gatherer.told(SIMULATOR, WARN, STEERING_CONTROLLER),
+            lambda: gatherer.told(*warning),
             lambda: gatherer.obituaries.publish(dead),
         ):
             (result,) = run(graph, request())
-        warned = values_of(gatherer.told(SIMULATOR, WARN, STEERING_CONTROLLER))
-    assert result.outcome is Outcome.INFRA_ERROR
-    assert int(float(warned['step'])) > 5
-    assert float(warned['free run, unanswered']) > 0
+        warned = values_of(gatherer.told(*warning))
+        after = simulator_of(graph)._diagnose()
+    assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, STEERING_CONTROLLER)
+    if timing is AT_ONCE:
+        assert warned['waits for'] == STEERING_CONTROLLER
+        assert float(warned['silent for [s]']) > 0.3
+    else:
+        assert int(float(warned['step'])) > 5
+        assert float(warned['free run, unanswered']) > 0
+    assert after.level == ERROR
+    assert f'run run broke: died {STEERING_CONTROLLER}' in after.message
+    assert (after.values['runs ended'], after.values['runs INFRA_ERROR']) == (1, 1)
 
 
 def test_ros21_given_a_run_that_cannot_begin_then_nodes_warn_of_the_topic_and_then_go_on(tmp_path):
@@ -224,8 +216,6 @@ def test_ros21_given_nobody_who_asks_or_an_answer_that_fails_then_the_run_is_non
             )
             told = gatherer.told(SIMULATOR)
     assert (told.level, told.message) == (ERROR, 'ValueError: no idea')
-
-
 
 
 def test_ros21_given_too_little_space_then_the_recorder_warns(tmp_path: Path, monkeypatch):

@@ -19,9 +19,9 @@ from taxinet_ros.training.data.portions import (
     SPREAD_RAD,
     Portion,
     counterexample_scenes,
-    record_digest,
     parse_portion,
     portion_seed,
+    record_digest,
 )
 
 GOLDEN = Path(__file__).resolve().parents[3] / 'bags' / 'golden' / 'original-early-light'
