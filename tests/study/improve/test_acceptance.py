@@ -40,9 +40,10 @@ def rows(*rhos: float, **changes) -> list[RunRow]:
      {'accepted': True, 'failed_before': 8, 'failed_now': 0, 'only_before': 8, 'only_now': 0,
       'pairs': 300, 'failures_p': 2 * 0.5**8}, 'fails less often (p 0.0078)'),
     # Four pairs are not enough: 2 * 0.5**4 = 0.125; and the ranks of rho rest on the same four.
-    ([-1.0] * 4 + [1.0] * 96, [1.0] * 100, {'accepted': False, 'failures_p': 0.125}, ''),
+    ([-1.0] * 4 + [1.0] * 96, [1.0] * 100, {'accepted': False, 'failures_p': 0.125},
+     'not significantly better'),
     ([0.5] * 60, [0.9] * 59 + [-0.1], {'accepted': False}, 'fails more often'),
-    ([], [], {'accepted': False, 'pairs': 0, 'satisfied_low': 0.0}, ''),
+    ([], [], {'accepted': False, 'pairs': 0, 'satisfied_low': 0.0}, 'not significantly better'),
 ])
 def test_given_failures_then_the_decision_is_by_mcnemar_s_test(before, now, expected, why):
     made = decide(rows(*before), rows(*now), ALPHA)
