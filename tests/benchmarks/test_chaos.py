@@ -31,8 +31,6 @@ words = sys.argv[1:]
 out = pathlib.Path('c')
 resumed = '--resume' in words
 trouble = {trouble!r}
-out.mkdir(exist_ok=True)
-path = out / 'campaign.db'
 
 def row(index, rho):
     return RunRow(run_id=f'r{{index}}', index=index, program='p', seed=0, perception='truth',
@@ -40,13 +38,13 @@ def row(index, rho):
 
 rows = [row(index, 1.0) for index in range(8)]
 try:
-    record = Record(path)
+    record = Record(out / 'campaign.db')
 except UsageError as error:
     print(f'taxinet: error: {{error}}')
     sys.exit(2)
 with record:
+    record.put(FACTS, '', {{}})
     if not resumed:
-        record.put(FACTS, '', {{}})
         for one in rows[:7]:
             record.put(ROW, run_key(one.index), one.to_json())
         print('half', flush=True)
@@ -121,7 +119,7 @@ def test_given_a_campaign_that_hangs_then_it_is_ended_and_told(tmp_path, monkeyp
 
 
 @pytest.mark.usefixtures('one_fault')
-def test_given_a_torn_record_then_it_is_refused_by_name_and_put_back(
+def test_given_a_record_that_is_cut_then_it_is_refused_by_name_and_put_back(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(chaos, 'DAMAGES', {'record cut': DAMAGES['record cut']})
@@ -138,7 +136,7 @@ def test_given_a_torn_record_then_it_is_refused_by_name_and_put_back(
     assert one.found.ends['record cut'] == {'done': 1}
     assert one.found.broken == []
     (line,) = refused
-    assert 'c/campaign.db:' in line
+    assert 'c/campaign.db: damaged' in line
 
 
 def test_given_a_command_that_is_no_taxinet_then_nothing_is_compared_with_it(tmp_path):
