@@ -35,7 +35,7 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
     rho = {'phi': 1.0}
     if failed:
         rho = {name: one.interval.upper for name, one in told.judged.items()}
-    rows = [
+    write_campaign(folder, [
         RunRow(
             run_id=GOLDEN.name if index == told.index else f'r{index}', index=index, program='s',
             seed=told.seed, perception='original',
@@ -43,8 +43,7 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
             outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
             steps=told.steps, **recorded.scenario.to_human(),
         ) for index in range(told.index, told.index + runs)
-    ]
-    write_campaign(folder, rows, {'program': 's_falsif.scenic', 'runs': runs})
+    ], {'program': 's_falsif.scenic', 'runs': runs})
     if bags:
         shutil.copytree(GOLDEN, folder / GOLDEN.name)
     return folder
@@ -99,7 +98,7 @@ def test_given_nothing_to_learn_from_then_one_line_says_why(tmp_path):
         assert '\n' not in str(caught.value)
 
 
-def test_given_a_portion_of_runs_then_the_card_names_campaign_and_record(tmp_path):
+def test_given_a_portion_of_runs_then_the_card_names_campaign_and_ledger(tmp_path):
     folder = campaign(tmp_path / 'c')
     portion = parse_portion(f'{folder}=3', 'runs')
     source = portion.source()
