@@ -138,29 +138,7 @@ SHIPPED = 'case_study.yaml'
 _LEARNERS = ('ce', 'ce-verifai', 'mab')
 """Samplers that write a learned distribution as a program."""
 _MOST_SHARE = 10
-# Section, key and validation of each value in a file.
-_WHOLE: Mapping[str, tuple[str, int, int]] = {
-    'images': ('training.images', 1, 1_000_000),
-    'validation': ('training.validation', 1, 1_000_000),
-    'epochs': ('training.epochs', 1, 10_000),
-    'training_seed': ('training.seed', 0, 2**63 - 1),
-    'runs': ('evaluation.runs', 1, 10_000_000),
-    'seed': ('evaluation.seed', 0, 2**63 - 1),
-    'localized': ('debugging.localize', 1, 10_000_000),
-    'learning_runs': ('learning.runs', 1, 10_000_000),
-    'further_epochs': ('iteration.epochs', 1, 10_000),
-    'workers': ('workers', 1, LAG),
-}
-_PROGRAMS: Mapping[str, str] = {
-    'original': 'training.original', 'generic': 'training.generic',
-    'specialised': 'training.specialised', 'program': 'evaluation.program',
-    'learning_program': 'learning.program', 'crossing': 'iteration.crossing',
-}
-_OTHERS: Mapping[str, str] = {
-    'experiments': 'debugging.experiments', 'samplers': 'learning.sampler',
-    'learning_seeds': 'learning.seed', 'share': 'iteration.share', 'best': 'best',
-}
-_PLACES = {**{name: place for name, (place, _, _) in _WHOLE.items()}, **_PROGRAMS, **_OTHERS}
+_MOST_SEED = 2**63 - 1
 
 
 def shipped_config() -> Path:
@@ -174,12 +152,9 @@ def read_config(path: Path) -> StudyConfig:
     Raises:
         UsageError: a value is invalid; one line with the file, the key and the correction.
     """
-    shipped = shipped_config()
-    values = _Values(shipped, read_yaml(shipped)).all()
-    own = _Values(path, read_yaml(path, option='--config'))
-    values |= own.all()
-    config = StudyConfig(**values)
-    own.check_seeds(config)
+    shipped, own = read_yaml(shipped_config()), read_yaml(path, option='--config')
+    config = StudyConfig(**{**_values(shipped_config(), shipped), **_values(path, own)})
+    _check_seeds(Section(path, own), config)
     return config
 
 
@@ -189,87 +164,78 @@ def study_of(values: Mapping[str, Any]) -> StudyConfig:
     return StudyConfig(**{**values, **lists})
 
 
-class _Values:
-    """The values in one file, checked one by one."""
-
-    def __init__(self, path: Path, content: object) -> None:
-        places: dict[str, list[str]] = {}
-        for place in sorted(_PLACES.values()):
-            group, _, key = place.rpartition('.')
-            places.setdefault(group, []).append(key)
-        top = Section(path, content, sorted({*places, *places['']} - {''}))
-        self._folder = path.parent
-        self._sections = {'': top} | {
-            group: top.section(group, keys) for group, keys in places.items() if group in top
-        }
-
-    def all(self) -> dict[str, Any]:
-        """Values of the file, by attribute name of :class:`StudyConfig`."""
-        readers: dict[str, Callable[[Section, str], object]] = {
-            name: partial(_whole, low, high) for name, (_, low, high) in _WHOLE.items()
-        }
-        readers |= dict.fromkeys(_PROGRAMS, self._program)
-        readers |= {
-            'experiments': self._experiments, 'samplers': _samplers,
-            'learning_seeds': _learning_seeds, 'share': _share, 'best': self._best,
-        }
-        found: dict[str, Any] = {}
-        for name, read in readers.items():
-            group, _, key = _PLACES[name].rpartition('.')
-            if key in self._sections.get(group, ()):
-                found[name] = read(self._sections[group], key)
-        return found
-
-    def check_seeds(self, config: StudyConfig) -> None:
-        """Check that no network is evaluated, and no search starts, on its training scenes."""
-        seeds = {
-            'training.seed': (config.training_seed,), 'evaluation.seed': (config.seed,),
-            'learning.seed': config.learning_seeds,
-        }
-        for place, own in seeds.items():
-            for other, others in seeds.items():
-                for seed in own if other < place else ():
-                    if seed in others:
-                        raise self._sections[''].wrong(
-                            f'is {seed}, as {other} is; choose another, or a network is evaluated '
-                            'on scenes it was trained on', place,
-                        )
-
-    def _program(self, given: Section, key: str) -> str:
-        word = self._beside(given.text(key))
-        given.check(key, partial(find_program, word))
-        return word
-
-    def _experiments(self, given: Section, key: str) -> dict[str, int]:
-        names = given.section(key, optional=True)
-        found = {}
-        for name in names:
-            word = self._beside(name)
-            names.check(name, partial(find_experiment, word))
-            found[word] = names.whole(name, 1, 1_000_000)
-        stems = [Path(word).stem for word in found]
-        if len(set(stems)) < len(stems):
-            raise names.wrong('two experiments have the same name; rename one of the files')
-        return found
-
-    def _best(self, given: Section, key: str) -> str:
-        if given.take(key, 'a word') in ('', None):
-            return ''
-        word = self._beside(given.text(key))
-        given.check(key, partial(check_perception, word))
-        return word
-
-    def _beside(self, word: str) -> str:
-        """Absolute path of a file next to this one or in the current folder; else the word."""
-        if Path(word).suffix:
-            for path in (self._folder / word, Path(word)):
-                if path.is_file():
-                    return str(path.resolve())
-        return word
+def _values(path: Path, content: object) -> dict[str, Any]:
+    """Values of a file, checked one by one, by attribute name of :class:`StudyConfig`."""
+    places: dict[str, list[str]] = {}
+    for place, _ in _READERS.values():
+        group, _, key = place.rpartition('.')
+        places.setdefault(group, []).append(key)
+    top = Section(path, content, sorted({*places, *places['']} - {''}))
+    sections = {'': top} | {
+        group: top.section(group, sorted(keys)) for group, keys in places.items() if group in top
+    }
+    found: dict[str, Any] = {}
+    for name, (place, read) in _READERS.items():
+        group, _, key = place.rpartition('.')
+        if key in sections.get(group, ()):
+            found[name] = read(sections[group], key)
+    return found
 
 
-def _whole(low: int, high: int, given: Section, key: str) -> int:
-    return given.whole(key, low, high)
+def _check_seeds(given: Section, config: StudyConfig) -> None:
+    """Check that no network is evaluated, and no search starts, on its training scenes."""
+    seeds = {
+        'training.seed': (config.training_seed,), 'evaluation.seed': (config.seed,),
+        'learning.seed': config.learning_seeds,
+    }
+    for place, own in seeds.items():
+        for other, others in seeds.items():
+            for seed in own if other < place else ():
+                if seed in others:
+                    raise given.wrong(
+                        f'is {seed}, as {other} is; choose another, or a network is evaluated '
+                        'on scenes it was trained on', place,
+                    )
+
+
+def _whole(low: int, high: int) -> Callable[[Section, str], int]:
+    return lambda given, key: given.whole(key, low, high)
+
+
+def _program(given: Section, key: str) -> str:
+    word = _beside(given, given.text(key))
+    given.check(key, partial(find_program, word))
+    return word
+
+
+def _experiments(given: Section, key: str) -> dict[str, int]:
+    names = given.section(key, optional=True)
+    found = {}
+    for name in names:
+        word = _beside(given, name)
+        names.check(name, partial(find_experiment, word))
+        found[word] = names.whole(name, 1, 1_000_000)
+    stems = [Path(word).stem for word in found]
+    if len(set(stems)) < len(stems):
+        raise names.wrong('two experiments have the same name; rename one of the files')
+    return found
+
+
+def _best(given: Section, key: str) -> str:
+    if given.take(key, 'a word') in ('', None):
+        return ''
+    word = _beside(given, given.text(key))
+    given.check(key, partial(check_perception, word))
+    return word
+
+
+def _beside(given: Section, word: str) -> str:
+    """Absolute path of a file next to the study's or in the current folder; else the word."""
+    if Path(word).suffix:
+        for path in (given.path.parent / word, Path(word)):
+            if path.is_file():
+                return str(path.resolve())
+    return word
 
 
 def _samplers(given: Section, key: str) -> tuple[str, ...]:
@@ -282,7 +248,7 @@ def _samplers(given: Section, key: str) -> tuple[str, ...]:
 
 
 def _learning_seeds(given: Section, key: str) -> tuple[int, ...]:
-    return tuple(one.whole(key, 0, 2**63 - 1) for one in given.several(key))
+    return tuple(one.whole(key, 0, _MOST_SEED) for one in given.several(key))
 
 
 def _share(given: Section, key: str) -> float:
@@ -291,3 +257,29 @@ def _share(given: Section, key: str) -> float:
     if not is_number(value, 0, _MOST_SHARE) or value == 0:
         raise given.wrong(expected(kind, value), key)
     return float(value)
+
+
+_READERS: Mapping[str, tuple[str, Callable[[Section, str], object]]] = {
+    'images': ('training.images', _whole(1, 1_000_000)),
+    'validation': ('training.validation', _whole(1, 1_000_000)),
+    'epochs': ('training.epochs', _whole(1, 10_000)),
+    'training_seed': ('training.seed', _whole(0, _MOST_SEED)),
+    'original': ('training.original', _program),
+    'generic': ('training.generic', _program),
+    'specialised': ('training.specialised', _program),
+    'program': ('evaluation.program', _program),
+    'runs': ('evaluation.runs', _whole(1, 10_000_000)),
+    'seed': ('evaluation.seed', _whole(0, _MOST_SEED)),
+    'localized': ('debugging.localize', _whole(1, 10_000_000)),
+    'experiments': ('debugging.experiments', _experiments),
+    'learning_program': ('learning.program', _program),
+    'samplers': ('learning.sampler', _samplers),
+    'learning_runs': ('learning.runs', _whole(1, 10_000_000)),
+    'learning_seeds': ('learning.seed', _learning_seeds),
+    'further_epochs': ('iteration.epochs', _whole(1, 10_000)),
+    'share': ('iteration.share', _share),
+    'crossing': ('iteration.crossing', _program),
+    'best': ('best', _best),
+    'workers': ('workers', _whole(1, LAG)),
+}
+"""Place in a file and reader of each value."""

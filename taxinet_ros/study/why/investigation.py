@@ -113,7 +113,7 @@ class Investigation:
         perception: word or file of the network, if it has moved; None for the recorded one.
         budget: runs to be made.
         workers: processes.
-        run_stages: runs the commands.
+        run_stages: runs stages.
     """
 
     path: Path

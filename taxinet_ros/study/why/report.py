@@ -17,7 +17,6 @@ from taxinet_ros.study.why.verdict import (
     Action,
     CauseEvidence,
     Evidence,
-    Fault,
     Paired,
     Verdict,
     p_words,
@@ -49,7 +48,7 @@ def why_report(
         f'{Path(evidence.subject).name}: {verdict.fault}',
         facts=_facts(evidence), summary=verdict.sentences,
         sections=(
-            *_todo(todo), *_causes(evidence, out), *_sure(evidence, verdict.fault),
+            *_todo(todo), *_causes(evidence, out), *_sure(evidence),
             *_others(evidence), *_stages(evidence, out),
         ),
         runs=bags, worst=next(iter(bags), ''),
@@ -120,7 +119,7 @@ def _cause_sentences(cause: CauseEvidence, evidence: Evidence) -> Iterator[str]:
             yield f'{text[:1].upper()}{text[1:]}.'
 
 
-def _sure(evidence: Evidence, fault: Fault) -> Iterator[Section]:
+def _sure(evidence: Evidence) -> Iterator[Section]:
     rows: list[tuple[Cell, ...]] = []
     if evidence.blames is not None:
         for words, number in (

@@ -273,7 +273,7 @@ TRAINED, ADDED, FURTHER = 'training_full', 2400, 4000
 
 
 def actions(
-    evidence: Evidence, fault: Fault, *, campaign: Path | None, kept_bags: bool, scale: int = 1,
+    evidence: Evidence, fault: Fault, *, campaign: Path | None, kept_bags: bool
 ) -> Iterator[Action]:
     """What to do about it, the most useful first.
 
@@ -282,7 +282,6 @@ def actions(
         fault: what is at fault.
         campaign: folder of the campaign; None for a single run.
         kept_bags: whether some failed run has its bag, along whose path pictures can be taken.
-        scale: divisor of the suggested numbers of pictures.
     """
     where = str(campaign) if campaign is not None else evidence.subject
     match fault:
@@ -308,7 +307,7 @@ def actions(
                 yield Action(words=f'{_capital(stage)} was not done: {why}.')
     blames = evidence.blames or Blames()
     if fault is Fault.NETWORK or (fault is Fault.SEVERAL and blames.network):
-        yield from _training(evidence, campaign, kept_bags=kept_bags, scale=scale)
+        yield from _training(evidence, campaign, kept_bags=kept_bags)
     if fault is Fault.CONTROLLER or (fault is Fault.SEVERAL and blames.controller):
         yield from _controller(evidence)
     if fault is Fault.SEVERAL and blames.requirement:
@@ -316,7 +315,7 @@ def actions(
 
 
 def _training(
-    evidence: Evidence, campaign: Path | None, *, kept_bags: bool, scale: int
+    evidence: Evidence, campaign: Path | None, *, kept_bags: bool
 ) -> Iterator[Action]:
     name = Path(evidence.network).stem if trainable(evidence.network) else 'mended'
     mended = f'{name}-mended.safetensors'
@@ -338,18 +337,16 @@ def _training(
             words=f'{why}. Render labelled pictures of the scenes in which it fails, train it on '
             'them with your own tools, and compare:',
             commands=tuple(
-                _line('dataset', str(path), '--count', str(ADDED // scale), *seen, '--out',
+                _line('dataset', str(path), '--count', str(ADDED), *seen, '--out',
                       f'pictures-{path.stem}') for path in programs
             ),
         )
         return
     words = ['train', str(evidence.base or TRAINED), '--start', evidence.network]
     for path in programs:
-        words += ['--add', f'{path}={max(ADDED // scale, 1)}']
+        words += ['--add', f'{path}={ADDED}']
     if campaign is not None and kept_bags:
-        words += ['--add-runs', f'{campaign}={max(FURTHER // scale, 1)}']
-    if scale > 1:
-        words += ['--images', str(12_000 // scale), '--validation', str(1500 // scale)]
+        words += ['--add-runs', f'{campaign}={FURTHER}']
     words += ['--epochs', '8', '--learning-rate', '0.001', '--out', mended]
     kept = '' if kept_bags or campaign is None else (
         ' The bags of the failed runs are gone, so pictures along their paths cannot be added.')

@@ -35,18 +35,21 @@ def rows(*rhos: float, **changes) -> list[RunRow]:
     return [row(index, rho, **changes) for index, rho in enumerate(rhos)]
 
 
-def test_given_far_fewer_failures_then_the_candidate_is_accepted():
-    made = decide(rows(*[-1.0] * 8, *[1.0] * 292), rows(*[1.0] * 300), ALPHA)
-    assert (made.accepted, made.failed_before, made.failed_now) == (True, 8, 0)
-    assert (made.only_before, made.only_now, made.pairs) == (8, 0, 300)
-    assert made.failures_p == 2 * 0.5**8
-    assert made.why.startswith('fails less often (p 0.0078)')
-
-
-def test_given_a_few_failures_less_then_that_is_no_proof():
-    made = decide(rows(*[-1.0] * 4, *[1.0] * 96), rows(*[1.0] * 100), ALPHA)
+@pytest.mark.parametrize(('before', 'now', 'expected', 'why'), [
+    ([-1.0] * 8 + [1.0] * 292, [1.0] * 300,
+     {'accepted': True, 'failed_before': 8, 'failed_now': 0, 'only_before': 8, 'only_now': 0,
+      'pairs': 300, 'failures_p': 2 * 0.5**8}, 'fails less often (p 0.0078)'),
     # Four pairs are not enough: 2 * 0.5**4 = 0.125; and the ranks of rho rest on the same four.
-    assert (made.accepted, made.failures_p) == (False, 0.125)
+    ([-1.0] * 4 + [1.0] * 96, [1.0] * 100, {'accepted': False, 'failures_p': 0.125},
+     'not significantly better'),
+    ([0.5] * 60, [0.9] * 59 + [-0.1], {'accepted': False}, 'fails more often'),
+    ([], [], {'accepted': False, 'pairs': 0, 'satisfied_low': 0.0}, 'not significantly better'),
+])
+def test_given_failures_then_the_decision_is_by_mcnemar_s_test(before, now, expected, why):
+    made = decide(rows(*before), rows(*now), ALPHA)
+    assert {name: getattr(made, name) for name in expected} == expected
+    assert made.why.startswith(why)
+    assert made.to_json()['rho_change'] == (made.rho_change if made.pairs else None)
 
 
 def test_given_as_many_failures_and_a_better_robustness_then_it_is_accepted():
@@ -58,11 +61,6 @@ def test_given_as_many_failures_and_a_better_robustness_then_it_is_accepted():
     assert 0 < made.rho_low <= made.rho_change <= made.rho_high
     assert 'closer to the centreline' in made.why
     assert not decide(rows(*now), rows(*before), ALPHA).accepted
-
-
-def test_given_better_rho_but_one_failure_more_then_it_is_rejected():
-    made = decide(rows(*[0.5] * 60), rows(*[0.9] * 59, -0.1), ALPHA)
-    assert (made.accepted, made.why) == (False, 'fails more often')
 
 
 def test_given_fewer_failures_but_more_runs_off_the_runway_then_it_is_rejected():
@@ -104,12 +102,6 @@ def test_given_scenes_that_only_one_of_them_was_judged_on_then_they_do_not_count
     before, now = rows(*[-1.0] * 10, *[1.0] * 30), rows(*[1.0] * 40)
     assert decide(before[5:], now, ALPHA).pairs == 35
     assert decide(before, now[:20], ALPHA).pairs == 20
-
-
-def test_given_no_pair_then_nothing_is_accepted_and_nothing_breaks():
-    made = decide([], [], ALPHA)
-    assert (made.accepted, made.pairs, made.satisfied_low) == (False, 0, 0.0)
-    assert made.to_json()['rho_change'] is None
 
 
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), max_size=40))
@@ -166,11 +158,10 @@ def at_crossing(there, elsewhere):
     return chance
 
 
-def test_t13_given_twice_as_many_failures_and_a_path_nearer_to_the_line_then_it_is_rejected():
-    assert share_accepted(
-        (lambda d, h: 0 * d + 0.01, lambda d, h: 0 * d + 0.02), gain_m=0.03) <= 0.1
-    assert share_accepted(
-        (lambda d, h: 0 * d + 0.05, lambda d, h: 0 * d + 0.075), gain_m=0.03) <= 0.1
+@pytest.mark.parametrize('chances', [(0.01, 0.02), (0.05, 0.075)])
+def test_t13_given_more_failures_and_a_path_nearer_to_the_line_then_it_is_rejected(chances):
+    alike = [at_crossing(chance, chance) for chance in chances]
+    assert share_accepted(alike, gain_m=0.03) <= 0.1
 
 
 @pytest.mark.parametrize('new', [
@@ -181,11 +172,13 @@ def test_t13_given_new_failures_where_there_were_none_then_a_better_crossing_doe
     assert share_accepted(chances, causes=[CROSSING]) <= 0.1
 
 
-def test_t13_given_a_network_that_is_really_better_then_it_is_accepted_as_a_rule():
-    assert share_accepted((at_crossing(0.6, 0.0), at_crossing(0.05, 0.0)), causes=[CROSSING]) == 1
-    assert share_accepted((at_crossing(0.9, 0.5), at_crossing(0.1, 0.1)), causes=[CROSSING]) == 1
-    assert share_accepted(
-        (lambda d, h: 0 * d, lambda d, h: 0 * d), gain_m=0.03) == 1, 'nearer, and no failure'
+@pytest.mark.parametrize(('before', 'now', 'options'), [
+    ((0.6, 0.0), (0.05, 0.0), {'causes': [CROSSING]}),
+    ((0.9, 0.5), (0.1, 0.1), {'causes': [CROSSING]}),
+    ((0.0, 0.0), (0.0, 0.0), {'gain_m': 0.03}),  # nearer, and no failure
+])
+def test_t13_given_a_network_that_is_really_better_then_it_is_accepted(before, now, options):
+    assert share_accepted((at_crossing(*before), at_crossing(*now)), **options) == 1
 
 
 @given(st.integers(0, 12), st.integers(1, 12), st.integers(24, 400))

@@ -13,6 +13,7 @@ from typer.main import get_command
 from taxinet_ros.campaign.samplers.registry import SAMPLERS
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.cli.main import app
+from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.config import read_config, shipped_config
 from taxinet_ros.study.stages.plan import (
@@ -39,6 +40,28 @@ def test_given_a_stage_then_taxinet_knows_its_words(name):
     first, *words = FOUND[name].words(resume=True)
     known = get_command(app).commands[first]
     known.make_context(first, list(words))
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('name', [
+    'train-halton', 'train-specialised', 'train-iterative-crossing', 'evaluate-best',
+    'learn-ce-verifai-2',
+])
+def test_given_a_stage_then_its_function_has_the_options_of_its_command(
+    name, tmp_path, monkeypatch
+):
+    asked: list[object] = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('taxinet_ros.cli.run.commands._start_scenic', lambda: None)
+    monkeypatch.setattr('taxinet_ros.cli.run.search.run_falsify',
+                        lambda options, **_: asked.append(options) or 0)
+    monkeypatch.setattr('taxinet_ros.cli.training.network.run_train', asked.append)
+    stage, = with_engine([FOUND[name]], 'loop', '5')
+    if stage.command == 'falsify':  # with a network that is there
+        stage = dataclasses.replace(stage, options={**stage.options, 'perception': 'original'})
+    assert call_stage(stage, False) == 0
+    app(list(stage.words()))
+    assert asked[0] == asked[1]
 
 
 def test_given_the_stages_then_each_stands_after_what_it_needs():

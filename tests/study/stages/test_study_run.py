@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from studies import asked, run_study, sittings_of, smoke_config, stand_in
 
+from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.cli.study.case_study import run_case_study
 from taxinet_ros.errors import InfraError, RecordError, UsageError
 from taxinet_ros.files.record import RECORD_NAME
@@ -362,3 +363,17 @@ def test_given_a_training_that_was_killed_then_it_goes_on_from_its_last_epoch(fi
     (line,) = asked(out)
     assert line.startswith('train s_falsif')
     assert line.endswith(' --resume')
+
+
+def test_doctor_given_what_a_stage_has_made_then_it_is_looked_for(finished, tmp_path):
+    out = copied(finished, tmp_path)
+    made, lost = (out / 'train-halton' / f'halton.{end}' for end in ('safetensors', 'json'))
+    made.write_text('others')
+    lost.unlink()
+    found = {Path(one.where): one.what for one in examine(out).findings if 'stage' in one.what}
+    assert found == {
+        made: 'is not the file made by stage train-halton',
+        lost: 'is missing, but was made by stage train-halton',
+    }
+    assert run_study(out)[0] == 0
+    assert not [one for one in examine(out).findings if 'stage' in one.what]
