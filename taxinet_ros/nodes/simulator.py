@@ -315,11 +315,17 @@ class Simulator(Node):
             run.reset_watchdog()
             self._start_if_ready(run)
         elif status.state == NodeStatus.ERROR:
-            bag = status.node == interface.RECORDER
-            usual = InfraKind.BAG if bag else InfraKind.NODE_ERROR, status.node, status.detail
-            self._fail(run, *(parse_blame(status.detail) or usual))
+            self._on_error(run, status)
         elif status.state == NodeStatus.DONE and status.node == interface.RECORDER:
             self._on_done(run, status)
+
+    def _on_error(self, run: ActiveRun, status: NodeStatus) -> None:
+        blame = parse_blame(status.detail)
+        if blame is not None and blame[0] == InfraKind.INTRUDER and not run.started:
+            return  # a node that was started again; all publishers are checked before the start
+        bag = status.node == interface.RECORDER
+        usual = InfraKind.BAG if bag else InfraKind.NODE_ERROR, status.node, status.detail
+        self._fail(run, *(blame or usual))
 
     def _on_done(self, run: ActiveRun, done: NodeStatus) -> None:
         """The recorder has closed its bag; a verdict counts only if the bag contains it."""

@@ -18,7 +18,6 @@ from taxinet_ros.bag.errors import BagCorrupt, BagTruncated, BagWriteError
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.storage.writer import Output
 from taxinet_ros.bag.writer import BagWriter
-from taxinet_ros.files.atomic import make_atomically
 
 CHILD = """
 import os, pickle, sys
@@ -163,15 +162,3 @@ def test_given_a_disk_that_fills_up_when_recording_then_some_of_it_is_kept_free(
     bag.abandon()
     found, error = read_all(tmp_path / 'r')
     assert (len(found), type(error)) == (1, BagTruncated)
-
-
-def test_given_a_write_that_fails_then_no_half_file_is_left(tmp_path: Path) -> None:
-    def fail(draft: Path) -> None:
-        draft.write_text('half')
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with pytest.raises(OSError, match=r'\[Errno 28\] No space .*table.csv'):
-        make_atomically(tmp_path / 'table.csv', fail)
-    assert list(tmp_path.iterdir()) == []
-    make_atomically(tmp_path / 'table.csv', lambda draft: draft.write_text('whole'))
-    assert [file.read_text() for file in tmp_path.iterdir()] == ['whole']

@@ -18,11 +18,12 @@ pytestmark = pytest.mark.nightly
 FAKE = r"""
 import json, pathlib, sys, time
 sys.path[:0] = {path!r}
-from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.record.content import ROW, run_key
+from taxinet_ros.campaign.record.facts import FACTS
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.files.record import Record
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome
 
@@ -30,8 +31,6 @@ words = sys.argv[1:]
 out = pathlib.Path('c')
 resumed = '--resume' in words
 trouble = {trouble!r}
-out.mkdir(exist_ok=True)
-write_sealed(out / 'campaign.json', {{}})
 
 def row(index, rho):
     return RunRow(run_id=f'r{{index}}', index=index, program='p', seed=0, perception='truth',
@@ -39,15 +38,15 @@ def row(index, rho):
 
 rows = [row(index, 1.0) for index in range(8)]
 try:
-    ledger = Ledger(out / 'ledger.jsonl')
-    read_ledger(out / 'ledger.jsonl')
+    record = Record(out / 'campaign.db')
 except UsageError as error:
     print(f'taxinet: error: {{error}}')
     sys.exit(2)
-with ledger:
+with record:
+    record.put(FACTS, '', {{}})
     if not resumed:
         for one in rows[:7]:
-            ledger.result(one)
+            record.put(ROW, run_key(one.index), one.to_json())
         print('half', flush=True)
         if pathlib.Path('../begun').exists():
             time.sleep(1000)
@@ -59,8 +58,8 @@ with ledger:
     if resumed and trouble == 'hang':
         time.sleep(1000)
     for one in rows[7:8 - ('rows lost' in trouble and resumed)]:
-        ledger.result(one)
-write_tables(rows, out)
+        record.put(ROW, run_key(one.index), one.to_json())
+write_tables(rows, out, {{}})
 if 'orphan' in trouble and resumed:
     import subprocess
     subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(1000)'])
@@ -110,14 +109,6 @@ def test_given_a_campaign_that_goes_wrong_when_resumed_then_chaos_says_how(troub
     assert sum(report['found'].values()) == len(report['broken'])
 
 
-def test_given_a_run_that_was_judged_twice_then_that_is_counted(tmp_path):
-    results = [{'index': 0, 'outcome': 'INFRA_ERROR'}, {'index': 0, 'outcome': 'PASS'},
-               {'index': 1, 'outcome': 'FAIL'}, {'index': 1, 'outcome': 'FAIL'}]
-    lines = [json.dumps({'event': 'result', 'row': row}) for row in results]
-    (tmp_path / 'ledger.jsonl').write_text('\n'.join([*lines, '{"torn']))
-    assert chaos._judged_times(tmp_path) == {0: 1, 1: 2}
-
-
 @pytest.mark.usefixtures('one_fault')
 def test_given_a_campaign_that_hangs_then_it_is_ended_and_told(tmp_path, monkeypatch):
     one = disturbing(tmp_path, 'hang')
@@ -128,10 +119,10 @@ def test_given_a_campaign_that_hangs_then_it_is_ended_and_told(tmp_path, monkeyp
 
 
 @pytest.mark.usefixtures('one_fault')
-def test_given_a_flipped_bit_of_a_ledger_then_it_is_refused_by_name_and_put_back(
+def test_given_a_record_that_is_cut_then_it_is_refused_by_name_and_put_back(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(chaos, 'DAMAGES', {'ledger bit': DAMAGES['ledger bit']})
+    monkeypatch.setattr(chaos, 'DAMAGES', {'record cut': DAMAGES['record cut']})
     one = disturbing(tmp_path, '')
     refused = []
     mended = chaos._Trial._mended
@@ -142,10 +133,10 @@ def test_given_a_flipped_bit_of_a_ledger_then_it_is_refused_by_name_and_put_back
 
     monkeypatch.setattr(chaos._Trial, '_mended', noted)
     one.trial(0)
-    assert one.found.ends['ledger bit'] == {'done': 1}
+    assert one.found.ends['record cut'] == {'done': 1}
     assert one.found.broken == []
     (line,) = refused
-    assert 'c/ledger.jsonl:' in line
+    assert 'c/campaign.db: damaged' in line
 
 
 def test_given_a_command_that_is_no_taxinet_then_nothing_is_compared_with_it(tmp_path):

@@ -126,6 +126,9 @@ def test_given_weighted_ranges_when_learned_then_the_slices_of_the_prior_are_kep
                  {'ego.position.y': [1, 0, 3]})
     learned = 'Options({Range(0, 20): 0.25, Range(50, 60): 0.1875, Range(60, 90): 0.5625})'
     assert text.endswith(f'ego = new Plane at (0, {learned})\n')
+    text = learn(WORLD + 'param rain = DiscreteRange(1, 130)\nego = new Plane at (0, 400)\n',
+                 {'rain': [3] * 5 + [1] * 5})
+    assert 'rain = Options({DiscreteRange(1, 65): 0.75, DiscreteRange(66, 130): 0.25})\n' in text
 
 
 @pytest.mark.parametrize(('text', 'probabilities', 'message'), [

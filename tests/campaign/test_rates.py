@@ -89,6 +89,15 @@ def test_given_any_results_then_the_draws_are_the_same_and_uniform(word):
         assert 0.2 < np.mean([point[0] for _, point in drawn[0]]) < 0.8
 
 
+@pytest.mark.parametrize(('share', 'runs', 'drawn'), [(0.1, 9, 0), (0.1, 10, 1), (0.29, 100, 29)])
+def test_given_a_share_to_draw_then_so_many_of_the_first_runs_are_drawn(share, runs, drawn):
+    sampler = make_sampler('halton', SPACE, 5, 100, floor=share)
+    for _ in range(runs):
+        index, point = sampler.next()
+        sampler.tell(index, point[0])
+    assert sum(sampler.drawn(index) for index in range(runs)) == drawn
+
+
 @pytest.mark.parametrize('word', ['halton', 'sobol', 'grid'])
 def test_t1_given_a_search_of_which_nothing_was_drawn_then_there_is_no_rate(word):
     """A grid that is not whole had intervals that held the rate in 0 to 26 % of cases."""

@@ -115,6 +115,29 @@ def test_given_a_player_that_is_paused_when_it_goes_on_then_nothing_is_missing(b
         client.destroy()
 
 
+def test_given_a_pause_amid_the_run_when_it_goes_on_then_the_rest_follows(bag):
+    odometry = interface.ODOMETRY
+    with (
+        listening(odometry) as (listener, executor, context),
+        playing(context, executor, bag, rate=4.0, wait_for=[odometry.name]) as player,
+    ):
+        heard = listener.heard[odometry.name]
+        client = listener.create_client(SetBool, '/bag_player/pause')
+        spin(executor, client.service_is_ready)
+
+        def pause() -> None:
+            if heard:
+                timer.cancel()
+                client.call_async(SetBool.Request(data=True)).add_done_callback(
+                    lambda _: client.call_async(SetBool.Request(data=False)))
+
+        timer = listener.create_timer(0.01, pause)
+        assert player.play(executor) == 0
+        assert timer.is_canceled()
+        spin(executor, lambda: len(heard) == STEPS)
+        client.destroy()
+
+
 def test_given_nobody_to_listen_when_the_time_is_up_then_that_is_said(bag, capfd):
     with (
         listening() as (_, executor, context),

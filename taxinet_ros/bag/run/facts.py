@@ -16,10 +16,8 @@ from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.topics import (
-    NODE_READY,
     NODE_STATUS,
     ROBUSTNESS,
-    RUN_ENDED,
     RUN_STATUS,
     SCENARIO,
     SIMULATOR,
@@ -104,7 +102,7 @@ def _head(recording: Recording) -> tuple[Any, dict[str, Any]]:
     for topic, _, message in recording.messages((SCENARIO, NODE_STATUS)):
         if topic == SCENARIO:
             scenario = message
-        elif getattr(message, 'state', None) == NODE_READY:
+        else:
             reports.setdefault(str(getattr(message, 'node', '')), message)
     return scenario, reports
 
@@ -191,8 +189,7 @@ def run_facts(recording: Recording) -> RunFacts | None:
     scenario, reports = _head(recording)
     if scenario is None:
         return None
-    told = {topic: message for topic, _, message in recording.messages((RUN_STATUS, VERDICT))
-            if topic == VERDICT or getattr(message, 'state', None) == RUN_ENDED}
+    told = {topic: message for topic, _, message in recording.messages((RUN_STATUS, VERDICT))}
     readings = [message for _, _, message in recording.messages((ROBUSTNESS,))]
     verdict, ended = told.get(VERDICT), told.get(RUN_STATUS, _NOT_ENDED)
     try:

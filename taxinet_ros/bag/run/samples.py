@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -216,7 +216,7 @@ def _of_run(
         assumptions=assumptions_of(scenario),
         stamps_ns=stamps,
         samples=tuple(samples),
-        recorded=_readings(verdict.specs if verdict else _newest(told[ROBUSTNESS])),
+        recorded=_readings(verdict.specs if verdict else told[ROBUSTNESS]),
         stopped_early=bool(getattr(verdict, 'stopped_early', False)),
         unusable_estimates=int(getattr(verdict, 'unusable_estimates', 0)),
         trouble=trouble, there=there, timing=timing,
@@ -263,15 +263,11 @@ def _partial(steps: Mapping[str, Mapping[int, Any]]) -> dict[str, str]:
     return found
 
 
-def _newest(messages: Sequence[Any]) -> list[Any]:
-    newest_ns = max(map(stamp_of, messages), default=0)
-    return [one for one in messages if stamp_of(one) == newest_ns]
-
-
 def _readings(messages: Iterable[Any]) -> dict[str, RecordedReading]:
+    """The newest reading of each formula."""
     return {
         str(one.formula): RecordedReading(
             stamp_of(one), RobustnessInterval(float(one.rho_lower), float(one.rho_upper))
         )
-        for one in messages
+        for one in sorted(messages, key=stamp_of)
     }

@@ -120,6 +120,9 @@ def test_given_padded_rows_or_bgr_when_read_then_pixels_are_rgb(tmp_path: Path) 
     first, second = (frame.image for frame in recording.frames(render=False))
     assert first.tolist() == [[[0, 1, 2], [3, 4, 5]], [[8, 9, 10], [11, 12, 13]]]
     assert second[0].tolist() == [[2, 1, 0], [5, 4, 3]]
+    write_bag(tmp_path / 'twice', [_image(8), _image(8)])
+    with pytest.raises(BagForeign, match='image at 8 ns: comes behind one of 8 ns'):
+        list(open_recording(tmp_path / 'twice').frames(render=False))
 
 
 @pytest.mark.parametrize(('fields', 'kind'), [

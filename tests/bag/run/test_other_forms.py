@@ -18,6 +18,7 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.recovery import recover
+from taxinet_ros.bag.run.judging import BagVerdict
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.files.plain_values import load_yaml
@@ -209,4 +210,4 @@ def test_given_an_odometry_that_cannot_be_decoded_then_nothing_that_reads_it_is_
     bag = write_run(tmp_path / 'run', messages)
     (judged,) = judge_runs(bag, [parse_spec('always(speed <= 30)')])
     assert 'not a nav_msgs/msg/Odometry' in judged.trouble
-    assert not judged.sound
+    assert [one.verdict for one in judged.verdicts] == [BagVerdict.INCOMPLETE]

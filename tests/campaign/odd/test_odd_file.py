@@ -210,6 +210,13 @@ def test_given_an_odd_when_exported_then_modules_have_its_ranges_and_exclusions(
     assert binding_path(Path('a/out.yaml')) == Path('a/out.binding.yaml')
 
 
+@pytest.mark.parametrize(('word', 'value'), [('on', True), ('off', False)])
+def test_given_a_switch_when_exported_then_openodd_has_a_truth_value(tmp_path, word, value):
+    odd = odd_of(tmp_path, {'shadows': {'values': [word]}})
+    written, _ = openodd_values(odd, 'out.yaml')
+    assert written['MODULES']['inside_odd']['INCLUDE_AND'] == {'shadows': value}
+
+
 def test_given_a_unit_that_openodd_lacks_when_exported_then_it_is_refused_by_name(tmp_path):
     odd = odd_of(tmp_path, {'exposure_jump': {'range': [-1, 1]}})
     with pytest.raises(UsageError, match='exposure_jump_ev: its unit EV is none of OpenODD'):

@@ -299,44 +299,32 @@ def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
     assert 'rain_percent: the original fails without it too, so it has another cause' in lines
 
 
-MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
-    'workers': ({'workers': 9}, '--workers 9: needs to be within 1..8'),
-    'runs': ({'runs': 1}, '--runs 1: needs to be 2 or more'),
-    'unknown key': ({'nominal': ['duration=3']}, '--nominal duration_s: unknown; known: '),
-    'no key': ({'nominal': ['rain']}, "--nominal 'rain': expected key=value"),
-    'impossible': ({'nominal': ['rain=50']}, '--nominal: rain needs clouds broken'),
-    'perception': ({'perception': 'nobody'}, "perception: 'nobody' is unknown"),
-    'images': ({'images': 'few'}, '--images few: unknown'),
-    'resume': ({'resume': True, 'out': None}, '--resume: name the campaign to continue'),
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    'workers': ({}, {'workers': 9}, '--workers 9: needs to be within 1..8'),
+    'runs': ({}, {'runs': 1}, '--runs 1: needs to be 2 or more'),
+    'unknown key': ({}, {'nominal': ['duration=3']}, '--nominal duration_s: unknown; known: '),
+    'no key': ({}, {'nominal': ['rain']}, "--nominal 'rain': expected key=value"),
+    'impossible': ({}, {'nominal': ['rain=50']}, '--nominal: rain needs clouds broken'),
+    'perception': ({}, {'perception': 'nobody'}, "perception: 'nobody' is unknown"),
+    'images': ({}, {'images': 'few'}, '--images few: unknown'),
+    'resume': ({}, {'resume': True, 'out': None}, '--resume: name the campaign to continue'),
+    'passed': ({'scenario': Scenario()}, {}, 'satisfied phi_eventually with rho +0.30'),
+    'broken': ({'outcome': Outcome.INFRA_ERROR}, {}, 'INFRA_ERROR, so it was never judged'),
+    'rejected': (
+        {'outcome': Outcome.REJECTED, 'distance_m': None}, {}, 'no scene was drawn'),
+    'other weights': (
+        {'fingerprint': 'ab' * 32}, {},
+        'truth is without weights now, it was abababababab; --perception truth'),
+    'lost file': ({'perception': 'gone.onnx'}, {}, 'say with --perception where it is'),
 }
 
 
-@pytest.mark.parametrize('case', MISTAKES)
-def test_given_a_mistake_then_one_line_says_so(tmp_path, case):
-    changes, expected = MISTAKES[case]
-    out = changes.pop('out', tmp_path / 'out')
+@pytest.mark.parametrize('case', REFUSED)
+def test_given_a_mistake_or_a_run_that_cannot_be_shrunk_then_one_line_says_so(tmp_path, case):
+    of_run, asked, expected = REFUSED[case]
+    path = campaign(tmp_path / 'c', **of_run)
     with pytest.raises(UsageError) as caught:
-        options(campaign(tmp_path / 'c'), out, **changes)
-    assert expected in str(caught.value)
-    assert '\n' not in str(caught.value)
-
-
-RUNS: dict[str, tuple[dict[str, Any], str]] = {
-    'passed': ({'scenario': Scenario()}, 'satisfied phi_eventually with rho +0.30'),
-    'broken': ({'outcome': Outcome.INFRA_ERROR}, 'INFRA_ERROR, so it was never judged'),
-    'rejected': ({'outcome': Outcome.REJECTED, 'distance_m': None}, 'no scene was drawn'),
-    'other weights': ({'fingerprint': 'ab' * 32},
-                      'truth is without weights now, it was abababababab; --perception truth'),
-    'lost file': ({'perception': 'gone.onnx'}, 'say with --perception where it is'),
-}
-
-
-@pytest.mark.parametrize('case', RUNS)
-def test_given_a_run_that_cannot_be_shrunk_then_one_line_says_why(tmp_path, case):
-    changes, expected = RUNS[case]
-    path = campaign(tmp_path / 'c', **changes)
-    with pytest.raises(UsageError) as caught:
-        options(path, tmp_path / 'out')
+        options(path, **{'out': tmp_path / 'out', **asked})
     assert expected in str(caught.value)
     assert '\n' not in str(caught.value)
 

@@ -46,8 +46,10 @@ def bag(tmp_path_factory):
     return run.save_bag(tmp_path_factory.mktemp('runs') / 'wet', images=False)
 
 
-def trials(out: Path) -> int:
-    return len(read_record(out / RECORD_NAME)['trial'])
+def trials(out: Path) -> tuple[int, bytes]:
+    """Number of trials, and the record, which any that is made again would change."""
+    path = out / RECORD_NAME
+    return len(read_record(path)['trial']), path.read_bytes()
 
 
 def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kept(
@@ -65,10 +67,11 @@ def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kep
     tables = [pd.read_parquet(path) for path in paths]
     assert tables[0]['distance_m'].tolist() == tables[1]['distance_m'].tolist()
     assert [table['perception'].unique().tolist() for table in tables] == [['original'], ['truth']]
-    assert trials(out) == 6
+    made = trials(out)
+    assert made[0] == 6
     code, again, _ = taxinet(*words, '--json')
     told = json.loads(again)
-    assert trials(out) == 6, 'what is done is kept'
+    assert trials(out) == made, 'what is done is kept'
     assert (told['satisfied']['better'], told['satisfied']['worse'], told['tested']) == (3, 0, True)
     assert told['satisfied']['mcnemar_p'] == 0.25  # two sides of three fair tosses
     assert [row['got'] for row in told['changed']] == ['better'] * 3
@@ -116,12 +119,13 @@ def test_given_networks_in_order_then_the_one_that_broke_the_scene_is_named(
     code, said, err = taxinet(*words)
     assert (code, err) == (0, '')
     assert 'original breaks 1 scene that taxinet satisfied: wet' in said
-    assert trials(tmp_path / 'out') == 3
+    made = trials(tmp_path / 'out')
+    assert made[0] == 3
     code, said, _ = taxinet(*words, '--every', '--json')
     told = json.loads(said)
     assert (code, told['broken']) == (0, {'taxinet': [], 'original': ['wet']})
     assert told['scenes']['wet'] == {'truth': True, 'taxinet': True, 'original': False}
-    assert trials(tmp_path / 'out') == 3, 'what is done is kept'
+    assert trials(tmp_path / 'out') == made, 'what is done is kept'
 
 
 @pytest.mark.parametrize(('words', 'reason'), [

@@ -174,8 +174,11 @@ def test_given_a_network_then_it_is_driven_through_the_baselines_scenes_and_kept
     assert '3 of 3 scenes are known to nine decimals only' in said
     made = pd.read_parquet(tmp_path / 'driven' / 'runs.parquet')
     assert made['distance_m'].tolist() == frame['distance_m'].tolist()
-    assert len(read_record(tmp_path / 'driven' / RECORD_NAME)['trial']) == 3
-    assert taxinet(*asked)[1] == said, 'what is done is kept'
+    record = tmp_path / 'driven' / RECORD_NAME
+    made = record.read_bytes()
+    assert len(read_record(record)['trial']) == 3
+    assert taxinet(*asked)[1] == said
+    assert record.read_bytes() == made, 'what is done is kept'
     assert len(read_runs(tmp_path / 'driven' / 'runs.parquet').frame) == 3
 
 

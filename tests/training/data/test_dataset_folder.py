@@ -200,6 +200,19 @@ def test_given_a_dataset_begun_when_another_is_asked_for_then_it_is_refused_and_
     assert contents(out) == before
 
 
+def test_given_a_record_that_lost_its_request_when_resumed_then_it_is_refused(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / 'set'
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(options(out), interrupt_after(1))
+    with contextlib.closing(sqlite3.connect(out / NAME)) as file, file:
+        file.execute('UPDATE entries SET value = "{}" WHERE kind = "request"')
+    for _ in range(2):
+        with pytest.raises(UsageError, match='its request is lost; choose another --out'):
+            write_dataset(options(out, resume=True))
+
+
 def test_given_a_folder_with_other_things_when_made_then_it_is_refused_and_kept(
     tmp_path: Path,
 ) -> None:

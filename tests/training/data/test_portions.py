@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from campaign_records import write_campaign
 
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -35,18 +35,15 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
     rho = {'phi': 1.0}
     if failed:
         rho = {name: one.interval.upper for name, one in told.judged.items()}
-    with Ledger(folder / 'ledger.jsonl') as ledger:
-        ledger.campaign({'program': 's_falsif.scenic', 'runs': runs})
-        for index in range(told.index, told.index + runs):
-            name = GOLDEN.name if index == told.index else f'r{index}'
-            ledger.intent(index, name)
-            ledger.result(RunRow(
-                run_id=name, index=index, program='s', seed=told.seed, perception='original',
-                fingerprint=told.nodes['perception'].fingerprint,
-                outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
-                steps=told.steps,
-                **recorded.scenario.to_human(),
-            ))
+    write_campaign(folder, [
+        RunRow(
+            run_id=GOLDEN.name if index == told.index else f'r{index}', index=index, program='s',
+            seed=told.seed, perception='original',
+            fingerprint=told.nodes['perception'].fingerprint,
+            outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
+            steps=told.steps, **recorded.scenario.to_human(),
+        ) for index in range(told.index, told.index + runs)
+    ], {'program': 's_falsif.scenic', 'runs': runs})
     if bags:
         shutil.copytree(GOLDEN, folder / GOLDEN.name)
     return folder
