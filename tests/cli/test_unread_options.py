@@ -20,7 +20,6 @@ UNREAD = [
     (('evaluate', '--data', 'd', '--images', '3'), '--images: for rendered scenes; with --data'),
     (('evaluate', '--data', 'd', '--seed', '2'), '--seed: for rendered scenes; with --data'),
     (('evaluate', '--data', 'd', '--workers', '2'), '--workers: for rendered scenes; with'),
-    (('bag', 'doctor', BAG, '--run', 'truth-nominal'), '--run: all runs are checked; it selects'),
     (('bag', 'export', BAG, '--topics', 'tf', '--run', 'x', '--out', 'tf.csv'),
      '--run x: has no effect on --topics tf, which belongs to no run'),
     (('monitor', BAG, '--rate', 'he=3'), '--rate he: has no effect: no requirement reads he'),
