@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +12,6 @@ import pytest
 from taxinet_ros.campaign.scenes.programs import known_programs, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import version_hint
 from taxinet_ros.campaign.scenes.source import SceneSource
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
-from taxinet_ros.errors import UsageError
 
 MODEL = 'model runway_world\n'
 
@@ -47,12 +43,6 @@ ego = Plane at (-8, 8) @ rd
 """
 
 
-@pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child() as started:
-        yield started
-
-
 def said(client: Any, folder: Path, text: str) -> tuple[int, str]:
     """Line and message of what is wrong with a program."""
     path = folder / 'mine.scenic'
@@ -76,28 +66,6 @@ def test_s10_figure_8_is_answered_with_the_version_and_scenic_s_own_error(
     )
 
 
-def test_s10_figure_3_runs_in_the_spelling_of_scenic_3(tmp_path: Path) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(FIGURE_3)
-    with SceneSource(str(path), seed=0) as source:
-        scenes = [source.scene(index) for index in range(200)]
-        assert ['rain_percent is a fraction' in note for note in source.notes] == [True]
-        fed = {key for choice in source.search_space().choices for key in choice.feeds}
-    assert fed == {
-        'time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg',
-    }
-    wet = [scene.rain_fraction for scene in scenes if scene.rain_fraction > 0]
-    assert len(wet) / 200 == pytest.approx(1 / 3, abs=5 * (2 / 9 / 200) ** 0.5)
-    assert min(wet) >= 0.25
-    assert max(wet) <= 1
-    hours = [scene.time_of_day_s / 3600 for scene in scenes]
-    assert 6 <= min(hours) < 7
-    assert 17 < max(hours) <= 18
-    dry = Counter(scene.clouds for scene in scenes if not scene.rain_fraction)
-    assert set(dry) == set(CLOUDS)
-    assert {scene.clouds for scene in scenes if scene.rain_fraction} == set(RAIN_CLOUDS)
-
-
 def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
     path = tmp_path / 'mine.scenic'
     path.write_text(FIGURE_3)
@@ -117,6 +85,10 @@ def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
             drawn, said_here = one.scene(index).to_human(), other.scene(index).to_human()
             assert drawn.pop('time_of_day_h') == pytest.approx(said_here.pop('time_of_day_h'))
             assert drawn == said_here
+        assert ['rain_percent is a fraction' in note for note in one.notes] == [True]
+        assert {key for choice in one.search_space().choices for key in choice.feeds} == {
+            'time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg',
+        }
 
 
 @pytest.mark.parametrize(('text', 'end'), [
@@ -218,21 +190,9 @@ def test_s10_rain_that_looks_like_a_fraction_is_noted(
 
 
 def test_s10_rain_that_varies_as_the_paper_s_fraction_does_is_refused(
-    client: Any, tmp_path: Path
+    refused: Any, compiled: Any
 ) -> None:
     text = MODEL + 'param clouds = "stratus"\nego = new Plane at (0, 4)\nparam rain_percent = {}\n'
-    line, message = said(client, tmp_path, text.format('Range(0.25, 1)'))
-    assert line == 4
-    assert message.startswith('param rain_percent: here it is in percent: 100 *')
-    path = tmp_path / 'mine.scenic'
+    refused(text.format('Range(0.25, 1)'), 4, 'param rain_percent: here it is in percent: 100 *')
     for rain in ('Range(0, 100)', '1', '0', 'Uniform(0, 0)'):
-        path.write_text(text.format(rain))
-        assert client.ask(op='compile', program=str(path))['named'] == [], rain
-
-
-def test_s10_a_hint_comes_with_file_and_line(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'old.scenic').write_text(FIGURE_8)
-    with pytest.raises(UsageError, match=r'^old\.scenic:7: NameError: .* Scenic 1 or 2, and'), \
-            SceneSource('old.scenic', seed=0):
-        pass
+        assert compiled(text.format(rain))['named'] == [], rain
