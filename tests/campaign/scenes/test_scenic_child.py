@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -43,10 +42,9 @@ def test_given_a_loop_without_end_when_compiled_then_its_line_is_named(refused: 
      'ZeroDivisionError'),
 ])
 def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
-    client: Any, tmp_path: Path, text: str, line: int, message: str,
+    client: Any, write: Any, text: str, line: int, message: str,
 ) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(text)
+    path = write(text)
     assert client.ask(op='compile', program=str(path))['named'] == []
     error = client.ask(op='scene', index=0)['error']
     assert (error['file'], error['line']) == (str(path), line)
@@ -54,16 +52,14 @@ def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
 
 
 def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
-    client: Any, tmp_path: Path,
+    client: Any, compiled: Any,
 ) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(
+    assert compiled(
         'import numpy\nmodel runway_world\nprint("noise")\n'
         'ego = new Plane at (0, 400), facing -10 deg\n'
         'param rain = numpy.float32(0.5)\nparam shadows = False\nparam clouds = "clear"\n'
         'param duration = 5\nparam verifaiSamplerType = "halton"\n'
-    )
-    assert client.ask(op='compile', program=str(path))['named'] == []
+    )['named'] == []
     values = client.ask(op='scene', index=0)['values']
     assert values.pop('heading_deg') == pytest.approx(-10)
     assert values == {'cross_track_m': 0.0, 'distance_m': 400.0, 'rain_percent': 0.5,
