@@ -48,7 +48,7 @@ def test_given_a_simple_world_when_fitted_then_the_loss_falls_and_new_pictures_a
     told: list[tuple[str, int, int]] = []
     recipe = dataclasses.replace(RECIPE, epochs=6)
     result = fit(
-        ARCHITECTURE, bright_columns(320, 1), VALIDATION, recipe, lambda *what: told.append(what)
+        ARCHITECTURE, bright_columns(192, 1), VALIDATION, recipe, lambda *what: told.append(what)
     )
     assert told == [('epochs', epoch, 6) for epoch in range(1, 7)]
     assert [epoch.number for epoch in result.history] == [1, 2, 3, 4, 5, 6]
