@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 
@@ -26,8 +25,6 @@ from taxinet_ros.core.provenance import (
     words,
 )
 from taxinet_ros.version import __version__
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_provenance_names_processor_instructions_libraries_and_code():

@@ -121,7 +121,7 @@ def test_given_a_number_that_cannot_be_when_measured_then_one_line_names_it(
 @pytest.fixture(scope='module')
 def unseen() -> list[Scenario]:
     """Scenes of S_falsif by a seed that no shipped network was trained or chosen with."""
-    return draw_scenes('s_falsif', seed=77, images=240)
+    return draw_scenes('s_falsif', seed=77, images=180)
 
 
 def mean_errors(word: str, scenes: list[Scenario]) -> tuple[float, float]:

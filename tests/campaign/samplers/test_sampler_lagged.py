@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.samplers.histogram import CrossEntropy
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, Lagged
 from taxinet_ros.campaign.samplers.space import Dimension, Point, make_space
@@ -88,21 +87,6 @@ def test_given_any_order_of_answers_when_asked_then_the_same_is_known(
     for index, known in enumerate(learner.known):
         of_whom = range(max(index - LAG + 1, 0))
         assert known == [(run, result(run, ((run + 1) / 1000,))) for run in of_whom]
-
-
-@settings(max_examples=30)
-@given(data=st.data(), workers=st.integers(1, LAG))
-def test_given_any_order_of_answers_when_learning_then_the_sequence_is_the_same(
-    data: st.DataObject, workers: int
-) -> None:
-    expected = one_by_one(Lagged(CrossEntropy(SPACE, 5, every=1)))
-
-    found = campaign(
-        Lagged(CrossEntropy(SPACE, 5, every=1)), RUNS, workers=workers,
-        choose=lambda number: data.draw(st.integers(0, number - 1)),
-    )  # fmt: skip
-
-    assert found == expected
 
 
 @pytest.mark.parametrize('name', SAMPLERS)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,24 +12,6 @@ from taxinet_ros.campaign.scenes.search_space import Law
 
 TOP = 'import numpy\nmodel runway_world\nego = new Plane at (0, 400)\n'
 BAD_WEIGHTS = 'ValueError: the weights are {}; they have to be numbers of 0 or more, and one of'
-
-
-@pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child() as started:
-        yield started
-
-
-@pytest.fixture
-def compiled(client: Any, tmp_path: Path) -> Any:
-    """Compiles a program with one more line and returns the answer."""
-    def compile_line(line: str) -> dict[str, Any]:
-        path = tmp_path / 'mine.scenic'
-        path.write_text(TOP + line + '\n')
-        answer: dict[str, Any] = client.ask(op='compile', program=str(path))
-        return answer
-
-    return compile_line
 
 
 @pytest.mark.parametrize(('choice', 'message'), [
@@ -60,11 +40,9 @@ def compiled(client: Any, tmp_path: Path) -> Any:
     ('TruncatedNormal(2, 1, float("nan"), 4)', 'ValueError: the low end of a TruncatedNormal is'),
 ])
 def test_a_distribution_that_cannot_be_drawn_is_refused_with_its_line_when_it_is_made(
-    compiled: Any, choice: str, message: str,
+    refused: Any, choice: str, message: str,
 ) -> None:
-    error = compiled(f'param rain = {choice}').get('error')
-    assert error is not None
-    assert (error['line'], error['message'][:len(message)]) == (4, message)
+    refused(f'{TOP}param rain = {choice}\n', 4, message)
 
 
 @pytest.mark.parametrize(('choice', 'values'), [
@@ -78,7 +56,7 @@ def test_a_distribution_that_cannot_be_drawn_is_refused_with_its_line_when_it_is
 def test_weights_and_deviations_of_zero_are_drawn_as_they_say(
     client: Any, compiled: Any, choice: str, values: set[float],
 ) -> None:
-    assert 'error' not in compiled(f'param rain = {choice}')
+    assert 'error' not in compiled(f'{TOP}param rain = {choice}')
     drawn = [client.ask(op='scene', index=index)['values'] for index in range(12)]
     placed = [client.ask(op='scene', index=0, point=[u])['values'] for u in (0.0, 0.3, 0.5, 0.99)]
     for scenes in (drawn, placed):
@@ -98,8 +76,8 @@ def test_the_tails_of_a_truncated_normal_are_those_of_scipy_in_run_and_falsify(
               high=None if high == float('inf') else high)
     assert law.values(shares) == pytest.approx(right.ppf(shares), rel=1e-12)
     for given in (mean, f'Range({mean}, {mean})'):
-        assert 'error' not in compiled(f'param rain = TruncatedNormal({given}, {stddev}, {low}, '
-                        f'float("{high}"))')
+        assert 'error' not in compiled(
+            f'{TOP}param rain = TruncatedNormal({given}, {stddev}, {low}, float("{high}"))')
         points = [[share] * (1 if given is mean else 2) for share in shares]
         placed = [client.ask(op='scene', index=0, point=point)['values']['rain_percent']
                   for point in points]
@@ -111,6 +89,6 @@ def test_the_tails_of_a_truncated_normal_are_those_of_scipy_in_run_and_falsify(
 
 
 def test_floor_division_by_one_gives_whole_numbers(client: Any, compiled: Any) -> None:
-    assert 'error' not in compiled('param rain = Range(20, 90) // 1')
+    assert 'error' not in compiled(TOP + 'param rain = Range(20, 90) // 1')
     values = [client.ask(op='scene', index=0, point=[u])['values'] for u in (0.0, 0.31, 0.99)]
     assert [scene['rain_percent'] for scene in values] == [20, 41, 89]

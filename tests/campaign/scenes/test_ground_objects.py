@@ -25,14 +25,8 @@ new ClosedMarking at (0, 480), facing 10 deg
 """
 
 
-def program(folder, text):
-    path = folder / 'busy.scenic'
-    path.write_text(text, encoding='utf-8')
-    return path
-
-
-def test_given_ground_objects_then_a_scene_has_them_in_map(tmp_path):
-    (scene,) = sample_scenarios(program(tmp_path, BUSY), 3, 1)
+def test_given_ground_objects_then_a_scene_has_them_in_map(write):
+    (scene,) = sample_scenarios(write(BUSY), 3, 1)
     van, parked, tug, person, cone, cross = scene.others.objects
     assert (van.kind, van.y_m, van.heading_deg, van.wait_s) == ('vehicle', -30.0, 90.0, 2.0)
     assert 450 <= van.x_m <= 520
@@ -50,8 +44,8 @@ def test_given_ground_objects_then_a_scene_has_them_in_map(tmp_path):
     assert scene.others.text == scene.traffic
 
 
-def test_given_random_places_then_they_are_dimensions_and_points_set_them(tmp_path):
-    with SceneSource(program(tmp_path, BUSY), seed=1) as source:
+def test_given_random_places_then_they_are_dimensions_and_points_set_them(write):
+    with SceneSource(write(BUSY), seed=1) as source:
         names = [dimension.name for dimension in source.space()]
         assert names == ['y', 'van.behavior', 'object2.position.y']
         assert source.search_space().drawn == {'traffic'}
@@ -62,7 +56,7 @@ def test_given_random_places_then_they_are_dimensions_and_points_set_them(tmp_pa
 
 
 @pytest.mark.parametrize('by', ['the program', 'the command line'])
-def test_given_a_track_then_objects_are_placed_along_it_as_the_aircraft_is(tmp_path, by):
+def test_given_a_track_then_objects_are_placed_along_it_as_the_aircraft_is(write, by):
     text = """ego = new Plane at (1, 380)
 new Cone at (3, 395), facing 20 deg
 new Vehicle at (-6, 80), facing 90 deg, with behavior CrossRunway(5)
@@ -72,7 +66,7 @@ new Person ahead of ego by 10
     own, overrides = ("param track = 'exit_left'\n", {}) if by == 'the program' else (
         '', {'track': 'exit_left'}
     )
-    path = program(tmp_path, 'model runway_world\n' + own + text)
+    path = write('model runway_world\n' + own + text)
     with SceneSource(path, seed=1, overrides=overrides) as source:
         scene = source.scene(0)
     line = scene.line
@@ -88,25 +82,25 @@ new Person ahead of ego by 10
     assert line.measure(person.x_m, person.y_m)[1] == pytest.approx(-1)
 
 
-def test_given_an_override_then_the_objects_of_the_program_are_not_there_nor_searched(tmp_path):
-    path = program(tmp_path, BUSY.replace('(0, 400)', '(Range(-3, 3), 400)'))
+def test_given_an_override_then_the_objects_of_the_program_are_not_there_nor_searched(write):
+    path = write(BUSY.replace('(0, 400)', '(Range(-3, 3), 400)'))
     with SceneSource(path, seed=1, overrides={'traffic': 'nobody'}) as source:
         assert source.scene(0).traffic == 'nobody'
         assert [dimension.name for dimension in source.space()] == ['ego.position.x']
 
 
-def test_given_a_scenario_with_others_when_written_as_a_program_then_it_draws_the_same(tmp_path):
+def test_given_a_scenario_with_others_when_written_as_a_program_then_it_draws_the_same(write):
     scene = Scenario(traffic=load_traffic([
         {'kind': 'vehicle', 'x_m': 450, 'y_m': 8, 'path': [{'x_m': 9, 'y_m': 9, 'speed_mps': 3}]}
     ]))
-    path = program(tmp_path, scenario_program(scene, 'about', {}))
+    path = write(scenario_program(scene, 'about', {}))
     assert sample_scenarios(path, 0, 1) == [scene]
 
 
-def test_given_files_to_choose_from_then_each_scene_has_one_of_them(tmp_path):
+def test_given_files_to_choose_from_then_each_scene_has_one_of_them(write, tmp_path):
     file = tmp_path / 'one.yaml'
     file.write_text('objects: [{kind: cone, x_m: 430, y_m: 2}]\n')
-    path = program(tmp_path, HEAD + f"param traffic = Uniform('nobody', '{file}')\n")
+    path = write(HEAD + f"param traffic = Uniform('nobody', '{file}')\n")
     found = {len(scene.others.objects) for scene in sample_scenarios(path, 1, 12)}
     assert found == {0, 1}
 
@@ -126,22 +120,22 @@ def test_given_files_to_choose_from_then_each_scene_has_one_of_them(tmp_path):
     ('param traffic = "lorries"', '3: param traffic is .*nor a YAML file'),
     ('van = new Vehicle at (3, 450)\nvan.width = 3', '3: width of the Vehicle is set when'),
 ])
-def test_given_what_has_no_effect_then_it_is_refused_by_name_and_line(text, words, tmp_path):
-    with pytest.raises(UsageError, match=rf'busy\.scenic:{words}'):
-        sample_scenarios(program(tmp_path, HEAD + text + '\n'), 0, 1)
+def test_given_what_has_no_effect_then_it_is_refused_by_name_and_line(text, words, write):
+    with pytest.raises(UsageError, match=rf'mine\.scenic:{words}'):
+        sample_scenarios(write(HEAD + text + '\n'), 0, 1)
 
 
-def test_given_a_behavior_of_a_library_then_it_is_refused(tmp_path):
+def test_given_a_behavior_of_a_library_then_it_is_refused(write, tmp_path):
     (tmp_path / 'library.scenic').write_text(
         'model runway_world\nbehavior Drive():\n    wait\n', encoding='utf-8'
     )
     text = HEAD + 'from library import Drive\nnew Vehicle at (3, 450), with behavior Drive()\n'
-    with pytest.raises(UsageError, match=r'busy\.scenic:4: behavior Drive has no effect here'):
-        sample_scenarios(program(tmp_path, text), 0, 1)
+    with pytest.raises(UsageError, match=r'mine\.scenic:4: behavior Drive has no effect here'):
+        sample_scenarios(write(text), 0, 1)
 
 
-def test_given_a_size_that_cannot_be_by_chance_then_only_such_scenes_are_rejected(tmp_path):
-    path = program(tmp_path, HEAD + 'new Vehicle at (3, 450), with width Range(-3, 3)\n')
+def test_given_a_size_that_cannot_be_by_chance_then_only_such_scenes_are_rejected(write):
+    path = write(HEAD + 'new Vehicle at (3, 450), with width Range(-3, 3)\n')
     with SceneSource(path, seed=1) as source:
         widths, words = [], []
         for index in range(20):

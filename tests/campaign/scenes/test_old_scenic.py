@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,6 @@ import pytest
 from taxinet_ros.campaign.scenes.programs import known_programs, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import version_hint
 from taxinet_ros.campaign.scenes.source import SceneSource
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
-from taxinet_ros.errors import UsageError
 
 MODEL = 'model runway_world\n'
 
@@ -47,62 +44,30 @@ ego = Plane at (-8, 8) @ rd
 """
 
 
-@pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child() as started:
-        yield started
-
-
-def said(client: Any, folder: Path, text: str) -> tuple[int, str]:
+@pytest.fixture
+def said(client: Any, compiled: Any, tmp_path: Path) -> Callable[[str], tuple[int, str]]:
     """Line and message of what is wrong with a program."""
-    path = folder / 'mine.scenic'
-    path.write_text(text)
-    answer = client.ask(op='compile', program=str(path))
-    if 'error' not in answer:
-        answer = client.ask(op='scene', index=0)
-    error = answer['error']
-    assert error['file'] == str(path)
-    assert '\n' not in error['message']
-    return error['line'], error['message']
+    def of(text: str) -> tuple[int, str]:
+        answer = compiled(text)
+        error = (answer if 'error' in answer else client.ask(op='scene', index=0))['error']
+        assert error['file'] == str(tmp_path / 'mine.scenic')
+        assert '\n' not in error['message']
+        return error['line'], error['message']
+
+    return of
 
 
-def test_s10_figure_8_is_answered_with_the_version_and_scenic_s_own_error(
-    client: Any, tmp_path: Path
-) -> None:
-    assert said(client, tmp_path, FIGURE_8) == (
+def test_s10_figure_8_is_answered_with_the_version_and_scenic_s_own_error(said: Any) -> None:
+    assert said(FIGURE_8) == (
         7, "NameError: name 'Plane' is not defined; this program is written for Scenic 1 or 2, and "
         'Scenic 3 runs here: "model runway_world", "ego = new Plane", "Range(LOW, HIGH)"; see '
         'docs/scenic.md',
     )
 
 
-def test_s10_figure_3_runs_in_the_spelling_of_scenic_3(tmp_path: Path) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(FIGURE_3)
-    with SceneSource(str(path), seed=0) as source:
-        scenes = [source.scene(index) for index in range(200)]
-        assert ['rain_percent is a fraction' in note for note in source.notes] == [True]
-        fed = {key for choice in source.search_space().choices for key in choice.feeds}
-    assert fed == {
-        'time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg',
-    }
-    wet = [scene.rain_fraction for scene in scenes if scene.rain_fraction > 0]
-    assert len(wet) / 200 == pytest.approx(1 / 3, abs=5 * (2 / 9 / 200) ** 0.5)
-    assert min(wet) >= 0.25
-    assert max(wet) <= 1
-    hours = [scene.time_of_day_s / 3600 for scene in scenes]
-    assert 6 <= min(hours) < 7
-    assert 17 < max(hours) <= 18
-    dry = Counter(scene.clouds for scene in scenes if not scene.rain_fraction)
-    assert set(dry) == set(CLOUDS)
-    assert {scene.clouds for scene in scenes if scene.rain_fraction} == set(RAIN_CLOUDS)
-
-
-def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(FIGURE_3)
+def test_s10_figure_3_gives_the_scenes_of_our_program(write: Any, tmp_path: Path) -> None:
+    path, text = write(FIGURE_3), FIGURE_3
     ours = tmp_path / 'ours.scenic'
-    text = path.read_text()
     for before, after in (
         (r'zulu_time = (.*)', r'time_of_day_h = (\1) / 3600 - 8'),
         ('cloud_type', 'clouds'),
@@ -117,6 +82,10 @@ def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
             drawn, said_here = one.scene(index).to_human(), other.scene(index).to_human()
             assert drawn.pop('time_of_day_h') == pytest.approx(said_here.pop('time_of_day_h'))
             assert drawn == said_here
+        assert ['rain_percent is a fraction' in note for note in one.notes] == [True]
+        assert {key for choice in one.search_space().choices for key in choice.feeds} == {
+            'time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg',
+        }
 
 
 @pytest.mark.parametrize(('text', 'end'), [
@@ -129,9 +98,9 @@ def test_s10_figure_3_gives_the_scenes_of_our_program(tmp_path: Path) -> None:
     (MODEL + 'pair = (3, 4)\nego = new Plane at (0, nope)\n', "name 'nope' is not defined"),
 ])
 def test_s10_the_version_is_named_where_it_is_the_reason(
-    client: Any, tmp_path: Path, text: str, end: str
+    said: Any, text: str, end: str
 ) -> None:
-    assert said(client, tmp_path, text)[1].endswith(end)
+    assert said(text)[1].endswith(end)
 
 
 @pytest.mark.parametrize('program', known_programs())
@@ -156,20 +125,18 @@ def test_s10_the_shipped_programs_are_scenic_3(program: str) -> None:
      {'wind_speed_mps': 9.26, 'wind_direction_rad': math.pi / 2}),
 ])
 def test_s10_a_parameter_of_the_paper_sets_ours(
-    tmp_path: Path, params: str, values: dict[str, Any]
+    write: Any, params: str, values: dict[str, Any]
 ) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(MODEL + f'ego = new Plane at (0, 4)\nparam {params}\n')
+    path = write(MODEL + f'ego = new Plane at (0, 4)\nparam {params}\n')
     with SceneSource(str(path), seed=0) as source:
         scene = source.scene(0)
     for name, value in values.items():
         assert getattr(scene, name) == (value if isinstance(value, str) else pytest.approx(value))
 
 
-def test_s10_an_override_replaces_what_the_paper_s_name_says(tmp_path: Path) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(MODEL + 'ego = new Plane at (0, 4)\nparam zulu_time = Range(72000, 75600)\n'
-                    'param cloud_type = Uniform(0, 1)\n')
+def test_s10_an_override_replaces_what_the_paper_s_name_says(write: Any) -> None:
+    path = write(MODEL + 'ego = new Plane at (0, 4)\nparam zulu_time = Range(72000, 75600)\n'
+                 'param cloud_type = Uniform(0, 1)\n')
     with SceneSource(str(path), seed=0, overrides={'clouds': 'stratus'}) as source:
         assert source.scene(0).clouds == 'stratus'
         assert {key for one in source.search_space().choices for key in one.feeds} >= {'clouds'}
@@ -189,10 +156,10 @@ def test_s10_an_override_replaces_what_the_paper_s_name_says(tmp_path: Path) -> 
     ('"laminar/weather/clouds" = 3', 'param laminar/weather/clouds: unknown'),
 ])
 def test_s10_a_parameter_of_the_paper_out_of_its_range_is_refused(
-    client: Any, tmp_path: Path, params: str, message: str
+    said: Any, params: str, message: str
 ) -> None:
     text = MODEL + f'ego = new Plane at (0, 4)\nparam {params}\n'
-    line, told = said(client, tmp_path, text)
+    line, told = said(text)
     assert line in (3, 4)
     assert message in told
 
@@ -204,11 +171,10 @@ def test_s10_a_parameter_of_the_paper_out_of_its_range_is_refused(
     ('Options({0: 2, Range(25, 100): 1})', False),
 ])
 def test_s10_rain_that_looks_like_a_fraction_is_noted(
-    client: Any, tmp_path: Path, rain: str, shown: bool
+    client: Any, write: Any, rain: str, shown: bool
 ) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(MODEL + f'param clouds = "stratus"\nparam rain = {rain}\n'
-                            'ego = new Plane at (0, 4)\n')
+    path = write(MODEL + f'param clouds = "stratus"\nparam rain = {rain}\n'
+                 'ego = new Plane at (0, 4)\n')
     assert client.ask(op='compile', program=str(path))['named'] == []
     notes = client.ask(op='asked')['notes']
     assert len(notes) == shown
@@ -218,21 +184,9 @@ def test_s10_rain_that_looks_like_a_fraction_is_noted(
 
 
 def test_s10_rain_that_varies_as_the_paper_s_fraction_does_is_refused(
-    client: Any, tmp_path: Path
+    refused: Any, compiled: Any
 ) -> None:
     text = MODEL + 'param clouds = "stratus"\nego = new Plane at (0, 4)\nparam rain_percent = {}\n'
-    line, message = said(client, tmp_path, text.format('Range(0.25, 1)'))
-    assert line == 4
-    assert message.startswith('param rain_percent: here it is in percent: 100 *')
-    path = tmp_path / 'mine.scenic'
+    refused(text.format('Range(0.25, 1)'), 4, 'param rain_percent: here it is in percent: 100 *')
     for rain in ('Range(0, 100)', '1', '0', 'Uniform(0, 0)'):
-        path.write_text(text.format(rain))
-        assert client.ask(op='compile', program=str(path))['named'] == [], rain
-
-
-def test_s10_a_hint_comes_with_file_and_line(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'old.scenic').write_text(FIGURE_8)
-    with pytest.raises(UsageError, match=r'^old\.scenic:7: NameError: .* Scenic 1 or 2, and'), \
-            SceneSource('old.scenic', seed=0):
-        pass
+        assert compiled(text.format(rain))['named'] == [], rain

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -91,43 +90,26 @@ def chosen(
     return toy.finish(toy.options(out, runs=3, **options))
 
 
-def test_s4_a_search_uses_the_sampler_of_the_program(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(('asked', 'options', 'word', 'kept', 'notes'), [
+    (named('ce', alpha=0.95), {'sampler': ''}, 'ce', {'rule': 'verifai', 'alpha': '0.95'},
+     ("sampler ce rule=verifai alpha=0.95, by verifaiSamplerType = 'ce' of mine.scenic:3",)),
+    # An option of the command changes one of the program.
+    (named('ce'), {'sampler': '', 'sampler_options': {'alpha': '0.99'}}, 'ce',
+     {'rule': 'verifai', 'alpha': '0.99'},
+     ("sampler ce rule=verifai alpha=0.99, by verifaiSamplerType = 'ce' of mine.scenic:3",)),
+    (named('ce'), {'sampler': 'halton'}, 'halton', {},
+     ("sampler halton, as asked; not the verifaiSamplerType = 'ce' of mine.scenic:3",)),
+    (None, {'sampler': ''}, DEFAULT_SAMPLER, {}, ()),
+])
+def test_s4_a_search_uses_the_sampler_of_the_command_else_of_the_program_else_the_default(
+    asked: ProgramSampler | None, options: dict[str, Any], word: str, kept: dict[str, str],
+    notes: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    search = chosen(tmp_path, monkeypatch, named('ce', alpha=0.95), sampler='')
-    assert search.book.facts['sampler'] == 'ce'
-    assert search.book.facts['sampler_options'] == {'rule': 'verifai', 'alpha': '0.95'}
-    assert {row.sampler for row in search.rows} == {'ce'}
-    assert search.notes == (
-        "sampler ce rule=verifai alpha=0.95, by verifaiSamplerType = 'ce' of mine.scenic:3",
-    )
-
-
-def test_s4_an_option_of_the_command_changes_one_of_the_program(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    search = chosen(
-        tmp_path, monkeypatch, named('ce'), sampler='', sampler_options={'alpha': '0.99'}
-    )
-    assert search.book.facts['sampler_options'] == {'rule': 'verifai', 'alpha': '0.99'}
-
-
-def test_s4_the_sampler_of_the_command_wins_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    search = chosen(tmp_path, monkeypatch, named('ce'), sampler='halton')
-    assert search.book.facts['sampler'] == 'halton'
-    assert search.notes == (
-        "sampler halton, as asked; not the verifaiSamplerType = 'ce' of mine.scenic:3",
-    )
-
-
-def test_s4_without_any_word_the_default_searches(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    search = chosen(tmp_path, monkeypatch, None, sampler='')
-    assert search.book.facts['sampler'] == DEFAULT_SAMPLER
-    assert search.notes == ()
+    search = chosen(tmp_path, monkeypatch, asked, **options)
+    assert search.book.facts['sampler'] == word
+    assert search.book.facts['sampler_options'] == kept
+    assert {row.sampler for row in search.rows} == {word}
+    assert search.notes == notes
 
 
 def test_s4_an_option_that_the_programs_sampler_lacks_is_refused_before_anything_is_written(
@@ -142,27 +124,14 @@ def test_s4_an_option_that_the_programs_sampler_lacks_is_refused_before_anything
 # The Scenic process reads it ---------------------------------------------------------------------
 
 
-@pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child() as started:
-        yield started
-
-
-def compiled(client: Any, folder: Path, text: str) -> dict[str, Any]:
-    path = folder / 'mine.scenic'
-    path.write_text(text)
-    answer: dict[str, Any] = client.ask(op='compile', program=str(path))
-    return answer
-
-
 def test_s4_the_parameters_of_a_program_are_read_with_their_lines(
-    client: Any, tmp_path: Path
+    client: Any, compiled: Any, tmp_path: Path
 ) -> None:
     text = (
         'param verifaiSamplerType = "ce",\\\n    verifaiSamplerParams = DotMap(alpha=0.95,\\\n'
         '        cont=DotMap(buckets=4, dist=None))\n'
     )
-    assert compiled(client, tmp_path, PLANE + text + EGO)['named'] == []
+    assert compiled(PLANE + text + EGO)['named'] == []
     path = str(tmp_path / 'mine.scenic')
     assert client.ask(op='asked')['sampler'] == {
         'kind': 'ce', 'params': {'alpha': 0.95, 'cont': {'buckets': 4, 'dist': None}},
@@ -181,9 +150,9 @@ def test_s4_the_parameters_of_a_program_are_read_with_their_lines(
      EGO.replace('Verifai', ''), [7, 7]),
 ])
 def test_s4_ranges_are_cut_as_the_program_says(
-    client: Any, tmp_path: Path, text: str, ego: str, buckets: list[int]
+    client: Any, compiled: Any, text: str, ego: str, buckets: list[int]
 ) -> None:
-    assert compiled(client, tmp_path, PLANE + text + ego)['named'] == []
+    assert compiled(PLANE + text + ego)['named'] == []
     choices = client.ask(op='space')['choices']
     assert [choice['dimension']['buckets'] for choice in choices] == buckets
 
@@ -201,21 +170,17 @@ def test_s4_ranges_are_cut_as_the_program_says(
      'verifaiSamplerParams.cont.buckets: a VerifaiRange has buckets of its own'),
 ])
 def test_s4_parameters_that_cannot_be_read_are_refused_with_their_line(
-    client: Any, tmp_path: Path, text: str, line: int, message: str
+    refused: Any, text: str, line: int, message: str
 ) -> None:
-    error = compiled(client, tmp_path, PLANE + text + EGO)['error']
-    assert error['message'].startswith(message)
-    assert error['line'] == line
+    refused(PLANE + text + EGO, line, message)
 
 
-def test_s4_the_external_sampler_that_scenic_has_itself_may_be_named(
-    client: Any, tmp_path: Path
-) -> None:
+def test_s4_the_external_sampler_that_scenic_has_itself_may_be_named(compiled: Any) -> None:
     text = (
         'from scenic.core.external_params import VerifaiSampler\n'
         'param externalSampler = VerifaiSampler\n'
     )
-    assert compiled(client, tmp_path, PLANE + text + EGO)['named'] == []
+    assert compiled(PLANE + text + EGO)['named'] == []
 
 
 def test_s4_scenes_without_a_sampler_say_so(tmp_path: Path, monkeypatch: Any) -> None:

@@ -16,7 +16,7 @@ from taxinet_ros.campaign.scenes.programs import (
     known_programs,
     shipped_folder,
 )
-from taxinet_ros.campaign.scenes.source import SceneSource, program_digest, sample_scenarios
+from taxinet_ros.campaign.scenes.source import program_digest, sample_scenarios
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
@@ -102,24 +102,6 @@ def test_given_training_original_when_drawn_then_its_gaps_are_gaps() -> None:
     assert_share(len(before), 13 / 21, 300)
     assert_uniform(before, 0, 1300)
     assert_uniform(after, 1600, 2400)
-
-
-def test_given_a_plane_right_of_the_line_with_its_nose_left_when_drawn_then_signs_are_ours(
-    tmp_path: Path,
-) -> None:
-    program = tmp_path / 'right.scenic'
-    program.write_text('model runway_world\nego = new Plane at (3, 400), facing 10 deg\n')
-    with SceneSource(program, seed=0) as source:
-        scene = source.scene(0)
-    assert scene.cross_track_m == -3
-    assert scene.distance_m == 400
-    assert math.degrees(scene.heading_rad) == pytest.approx(10)
-
-
-def test_given_the_model_when_read_then_its_words_are_those_of_the_core() -> None:
-    text = (shipped_folder() / 'runway_world.scenic').read_text()
-    assert f'\nCLOUDS = {CLOUDS}\n' in text
-    assert f'\nRAIN_CLOUDS = {RAIN_CLOUDS}\n' in text
 
 
 def test_given_an_installed_copy_when_drawn_then_scenes_and_digest_are_the_checkouts(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,13 +9,6 @@ from waiting import PATIENT_S
 
 PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
 LAZY = 'from scenic.core.distributions import distributionFunction\n@distributionFunction\n'
-
-
-@pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
-    """One child for all: importing Scenic takes a second."""
-    with scenic_child() as started:
-        yield started
 
 
 @pytest.mark.parametrize(('text', 'line', 'message'), [
@@ -30,32 +21,18 @@ def client(scenic_child: Any) -> Iterator[Any]:
     (PLANE + 'hog = bytearray(8 << 30)\n', 3, 'the program needs more memory'),
     (PLANE + 'name = input()\n', 3, 'EOFError'),
     (PLANE + 'param rain = (1, 2)\n', 3, 'rain is a tuple'),
-    (PLANE + 'param heading = 3\n', 3, "parameter 'heading' belongs to the plane"),
     ('model nowhere\n', 1, 'could not import world model nowhere'),
 ])
 def test_given_a_program_that_does_not_compile_when_compiled_then_its_line_is_named(
-    client: Any, tmp_path: Path, text: str, line: int, message: str,
+    refused: Any, text: str, line: int, message: str,
 ) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(text)
-    error = client.ask(op='compile', program=str(path))['error']
-    assert (error['file'], error['line']) == (str(path), line)
-    assert error['message'].startswith(message)
-    assert '\n' not in error['message']
+    refused(text, line, message)
 
 
-def test_given_a_loop_without_end_when_compiled_then_its_line_is_named(
-    client: Any, tmp_path: Path,
-) -> None:
-    path = tmp_path / 'mine.scenic'
+def test_given_a_loop_without_end_when_compiled_then_its_line_is_named(refused: Any) -> None:
     # It shortens its own limit once it is there, for how long it takes to get there varies.
-    path.write_text(
-        PLANE + 'import signal\nsignal.setitimer(signal.ITIMER_REAL, 0.2)\n'
-        'while True:\n    pass\n'
-    )
-    error = client.ask(op='compile', program=str(path))['error']
-    assert (error['file'], error['line']) == (str(path), 5)
-    assert error['message'].startswith(f'still running after {PATIENT_S:g} s')
+    short = 'import signal\nsignal.setitimer(signal.ITIMER_REAL, 0.2)\n'
+    refused(f'{PLANE}{short}while True:\n    pass\n', 5, f'still running after {PATIENT_S:g} s')
 
 
 @pytest.mark.parametrize(('text', 'line', 'message'), [
@@ -65,10 +42,9 @@ def test_given_a_loop_without_end_when_compiled_then_its_line_is_named(
      'ZeroDivisionError'),
 ])
 def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
-    client: Any, tmp_path: Path, text: str, line: int, message: str,
+    client: Any, write: Any, text: str, line: int, message: str,
 ) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(text)
+    path = write(text)
     assert client.ask(op='compile', program=str(path))['named'] == []
     error = client.ask(op='scene', index=0)['error']
     assert (error['file'], error['line']) == (str(path), line)
@@ -76,16 +52,14 @@ def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
 
 
 def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
-    client: Any, tmp_path: Path,
+    client: Any, compiled: Any,
 ) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(
+    assert compiled(
         'import numpy\nmodel runway_world\nprint("noise")\n'
         'ego = new Plane at (0, 400), facing -10 deg\n'
         'param rain = numpy.float32(0.5)\nparam shadows = False\nparam clouds = "clear"\n'
         'param duration = 5\nparam verifaiSamplerType = "halton"\n'
-    )
-    assert client.ask(op='compile', program=str(path))['named'] == []
+    )['named'] == []
     values = client.ask(op='scene', index=0)['values']
     assert values.pop('heading_deg') == pytest.approx(-10)
     assert values == {'cross_track_m': 0.0, 'distance_m': 400.0, 'rain_percent': 0.5,

@@ -9,20 +9,14 @@ HEAD = 'model runway_world\nego = new Plane at (0, 400)\n'
 REGION = 'sim/weather/region/'
 
 
-def program(folder, text):
-    path = folder / 'thermals.scenic'
-    path.write_text(HEAD + text, encoding='utf-8')
-    return path
-
-
-def test_given_any_datarefs_then_the_scene_has_them_beside_those_of_the_paper(tmp_path):
+def test_given_any_datarefs_then_the_scene_has_them_beside_those_of_the_paper(write):
     text = (
         f"param '{REGION}thermal_rate_ms' = 2\n"
         f"param '{REGION}visibility_reported_sm' = Range(1, 10)\n"
         "param 'sim/weather/rain_percent' = 0.5\nparam 'sim/weather/cloud_type[0]' = 4\n"
         "param 'sim/flightmodel2/misc/custom_slider_ratio[3]' = 1\n"
     )
-    (scene,) = sample_scenarios(program(tmp_path, text), 3, 1)
+    (scene,) = sample_scenarios(write(HEAD + text), 3, 1)
     values = dict(scene.dataref_values)
     assert 1 <= values.pop(f'{REGION}visibility_reported_sm') <= 10
     assert values == {
@@ -31,9 +25,9 @@ def test_given_any_datarefs_then_the_scene_has_them_beside_those_of_the_paper(tm
     assert (scene.clouds, scene.rain_fraction) == ('overcast', 0.5)
 
 
-def test_given_random_datarefs_then_they_are_dimensions(tmp_path):
+def test_given_random_datarefs_then_they_are_dimensions(write):
     text = f"param '{REGION}a' = Range(1, 3)\nparam '{REGION}b' = Uniform(0, 5)\n"
-    with SceneSource(program(tmp_path, text), seed=1) as source:
+    with SceneSource(write(HEAD + text), seed=1) as source:
         names = [dimension.name for dimension in source.space()]
         assert names == [f'{REGION}a', f'{REGION}b']
         low, high = (dict(source.scene(0, (share, share)).dataref_values)
@@ -42,8 +36,8 @@ def test_given_random_datarefs_then_they_are_dimensions(tmp_path):
     assert high == {f'{REGION}a': pytest.approx(3, abs=1e-5), f'{REGION}b': 5.0}
 
 
-def test_given_set_datarefs_then_it_replaces_those_of_the_program(tmp_path):
-    path = program(tmp_path, f"param '{REGION}a' = 1\n")
+def test_given_set_datarefs_then_it_replaces_those_of_the_program(write):
+    path = write(HEAD + f"param '{REGION}a' = 1\n")
     with SceneSource(path, seed=1, overrides={'datarefs': '{"sim/b/c": 2}'}) as source:
         assert dict(source.scene(0).dataref_values) == {'sim/b/c': 2.0}
 
@@ -56,7 +50,7 @@ def test_given_set_datarefs_then_it_replaces_those_of_the_program(tmp_path):
     (f"param '{REGION}a' = 1\nparam datarefs = 'none'", 'are the same; leave one out'),
     ("param 'laminar/B738/axis' = 1", 'unknown, so it has no effect'),
 ])
-def test_given_what_no_dataref_can_be_then_it_is_refused(tmp_path, text, said):
+def test_given_what_no_dataref_can_be_then_it_is_refused(write, text, said):
     with pytest.raises(UsageError) as error:
-        sample_scenarios(program(tmp_path, text), 3, 1)
+        sample_scenarios(write(HEAD + text), 3, 1)
     assert said in str(error.value)

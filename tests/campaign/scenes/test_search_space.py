@@ -28,18 +28,11 @@ S_FALSIF = ['time_of_day_h', 'weather', 'weather[0].clouds', 'weather[1].clouds'
             'weather[1].rain_percent', 'ego.position.x', 'ego.position.y', 'ego.heading']
 
 
-@pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child() as started:
-        yield started
-
-
 @pytest.fixture
-def compiled(client: Any, tmp_path: Path) -> Compile:
-    """Compiles a text and gives its space."""
+def space_of(client: Any, write: Any) -> Compile:
+    """Compile a text or a shipped program; its space."""
     def compile_text(text: str) -> SearchSpace:
-        path = tmp_path / 'mine.scenic'
-        path.write_text(text)
+        path = write(text) if '\n' in text else shipped_folder() / f'{text}.scenic'
         assert client.ask(op='compile', program=str(path))['named'] == []
         return SearchSpace.from_json(client.ask(op='space'))
 
@@ -70,6 +63,14 @@ def test_given_s_falsif_when_its_space_is_asked_then_every_choice_has_a_name_and
     assert space[2].prior == pytest.approx((1 / 6,) * 6)
     assert (space[6].low, space[6].high, space[6].discrete) == (0, 2000, False)
     assert s_falsif.search_space().unsearched == ()
+    # Six features of the paper: rain is one only where it rains.
+    assert {dimension.name: dimension.when for dimension in space if dimension.when} == {
+        'weather[0].clouds': (Branch('weather', (0,)),),
+        'weather[1].clouds': (Branch('weather', (1,)),),
+        'weather[1].rain_percent': (Branch('weather', (1,)),),
+    }
+    points = [space.point(point) for point in np.random.default_rng(1).random((50, 8))]
+    assert {sum(each is not None for each in point) for point in points} == {6, 7}
 
 
 def test_given_a_point_when_a_scene_is_drawn_then_every_choice_is_at_its_quantile(
@@ -132,11 +133,12 @@ def test_given_overrides_when_the_space_is_asked_then_choices_that_no_longer_cou
 
 @pytest.mark.parametrize('program', known_programs())
 def test_given_a_shipped_program_when_its_space_is_asked_then_all_of_it_is_searched(
-    client: Any, program: str,
+    client: Any, space_of: Compile, program: str,
 ) -> None:
-    path = shipped_folder() / f'{program}.scenic'
-    assert client.ask(op='compile', program=str(path))['named'] == []
-    space = SearchSpace.from_json(client.ask(op='space'))
+    space = space_of(program)
+    assert client.ask(op='asked') == {'notes': [], 'overrides': {}, 'sampler': {
+        'kind': None, 'params': {}, 'feedback': None, 'places': {}
+    }}
     assert space.unsearched == ()
     assert 1 <= len(space.dimensions) <= 8
     corners = [at(client, *[end] * len(space.choices)) for end in (0.0, 1 - 2**-53)]
@@ -144,9 +146,9 @@ def test_given_a_shipped_program_when_its_space_is_asked_then_all_of_it_is_searc
 
 
 def test_given_options_of_ranges_when_searched_then_they_are_one_range_from_left_to_right(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         WORLD + 'y = Options({Range(500, 600): 3, Range(0, 100): 1})\nego = new Plane at (0, y)\n'
     )
     assert names(space) == ['y']
@@ -157,9 +159,9 @@ def test_given_options_of_ranges_when_searched_then_they_are_one_range_from_left
 
 
 def test_given_a_range_used_elsewhere_too_when_searched_then_it_keeps_its_own_dimension(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         WORLD + 'a = Range(0, 100)\ny = Uniform(a, Range(200, 300))\n'
         'param rain = a\nparam clouds = "stratus"\nego = new Plane at (0, y)\n'
     )
@@ -169,9 +171,9 @@ def test_given_a_range_used_elsewhere_too_when_searched_then_it_keeps_its_own_di
 
 
 def test_given_distributions_of_every_kind_when_placed_then_each_is_inverted(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         'r = Range(0, 8)\n'
         'param rain = Range(0, r)\nparam time_of_day = Normal(12, 2)\n'
         'param date = TruncatedNormal(0, 1, -1, 3)\nparam duration = DiscreteRange(3, 6)\n'
@@ -208,9 +210,9 @@ def test_given_a_requirement_when_a_point_breaks_it_then_it_is_rejected_and_not_
 
 
 def test_given_randomness_without_quantiles_when_searched_then_it_is_named_and_drawn_by_the_seed(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         WORLD + 'param rain = Range(0, 9)\nunused = Range(0, 1)\n'
         'Odd = type("Odd", (RectangularRegion,), {})\nego = new Plane in Odd((0, 500), 0, 8, 10), '
         'with name unused\nrequire[0.9] ego.position.y > 100\n'
@@ -227,25 +229,25 @@ def test_given_randomness_without_quantiles_when_searched_then_it_is_named_and_d
 
 
 def test_given_choices_without_effect_when_searched_then_they_are_no_dimensions(
-    compiled: Compile,
+    space_of: Compile,
 ) -> None:
-    space = compiled(WORLD + 'param rain = Range(0, 9)\n'
+    space = space_of(WORLD + 'param rain = Range(0, 9)\n'
                              'ego = new Plane at (0, 400), with name Range(0, 1)\n')
     assert names(space) == ['rain']
     assert space.unsearched == ('ego.name (without effect)',)
 
 
 def test_given_no_choice_when_the_space_is_asked_then_there_is_nothing_to_search(
-    compiled: Compile,
+    space_of: Compile,
 ) -> None:
     with pytest.raises(UsageError, match='no random choice'):
-        _ = compiled(PLANE).dimensions
+        _ = space_of(PLANE).dimensions
 
 
 def test_given_words_of_verifai_when_searched_then_only_they_are_dimensions(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         WORLD + 'param verifaiSamplerType = "ce"\n'
         'param time_of_day = Range(6, 18)\n'
         'param clouds = VerifaiOptions({"clear": 3, "overcast": 1})\n'
@@ -268,9 +270,9 @@ def test_given_words_of_verifai_when_searched_then_only_they_are_dimensions(
 
 
 def test_given_weights_of_verifai_when_drawn_without_a_point_then_they_are_the_prior(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    compiled(WORLD + 'ego = new Plane at (0, VerifaiRange(0, 900, weights=[2, 1, 1]))\n')
+    space_of(WORLD + 'ego = new Plane at (0, VerifaiRange(0, 900, weights=[2, 1, 1]))\n')
     scenes = [client.ask(op='scene', index=index)['values'] for index in range(400)]
     distances = [scene['distance_m'] for scene in scenes]
     counts, _ = np.histogram(distances, bins=(0, 300, 600, 900))
@@ -278,22 +280,15 @@ def test_given_weights_of_verifai_when_drawn_without_a_point_then_they_are_the_p
     assert chisquare(counts, (200, 100, 100)).pvalue > 1e-4
 
 
-def test_given_a_wrong_verifai_call_when_compiled_then_its_line_is_named(
-    client: Any, tmp_path: Path,
-) -> None:
-    path = tmp_path / 'mine.scenic'
-    path.write_text(PLANE + 'x = VerifaiRange(0, 1, buckets=3, weights=[1, 2])\n')
-    error = client.ask(op='compile', program=str(path))['error']
-    assert error['line'] == 3
-    assert error['message'] == 'ValueError: VerifaiRange has 2 weights, but 3 buckets'
+def test_given_a_wrong_verifai_call_when_compiled_then_its_line_is_named(refused: Any) -> None:
+    refused(PLANE + 'x = VerifaiRange(0, 1, buckets=3, weights=[1, 2])\n', 3,
+            'ValueError: VerifaiRange has 2 weights, but 3 buckets')
 
 
 def test_given_the_halton_program_when_searched_then_the_time_is_all_there_is(
-    client: Any,
+    client: Any, space_of: Compile,
 ) -> None:
-    path = shipped_folder() / 'halton_time_of_day.scenic'
-    assert client.ask(op='compile', program=str(path))['named'] == []
-    assert names(SearchSpace.from_json(client.ask(op='space'))) == ['time_of_day_h']
+    assert names(space_of('halton_time_of_day')) == ['time_of_day_h']
     first, last = at(client, 0.0), at(client, 0.75)
     assert (first.pop('time_of_day_h'), last.pop('time_of_day_h')) == (6, 15)
     assert first == last
@@ -301,46 +296,30 @@ def test_given_the_halton_program_when_searched_then_the_time_is_all_there_is(
 
 
 def test_given_the_programs_after_s_falsif_when_placed_then_they_differ_where_they_say(
-    client: Any,
+    client: Any, space_of: Compile,
 ) -> None:
     scenes = {}
     for program in ('s_falsif', 'crossing', 's_falsif_ce'):
-        path = shipped_folder() / f'{program}.scenic'
-        assert client.ask(op='compile', program=str(path))['named'] == []
+        space_of(program)
         scenes[program] = at(client, 0.1, 0.9, 0.3, 0.4, 0.6, 0.7, 0.5, 0.8)
     assert scenes['s_falsif_ce'] == scenes['s_falsif']
     assert scenes['crossing'] == {**scenes['s_falsif'], 'distance_m': 1450}
 
 
 def test_given_one_line_that_makes_several_choices_when_named_then_no_two_are_alike(
-    compiled: Compile,
+    space_of: Compile,
 ) -> None:
-    space = compiled(PLANE + 'param rain = Range(0, 1) + Range(0, 2) + Range(0, 3)\n')
+    space = space_of(PLANE + 'param rain = Range(0, 1) + Range(0, 2) + Range(0, 3)\n')
     assert names(space) == ['rain', 'rain.2', 'rain.3']
     places = [choice.place for choice in space.choices if choice.place]
     assert len(places) == 3
     assert all(a.end_column < b.column for a, b in itertools.pairwise(places))
 
 
-def test_s9_given_s_falsif_when_its_space_is_asked_then_idle_branches_are_no_dimensions(
-    s_falsif: SceneSource,
-) -> None:
-    """Six features of the paper: rain is one only where it rains."""
-    space = s_falsif.space()
-    when = {dimension.name: dimension.when for dimension in space if dimension.when}
-    assert when == {
-        'weather[0].clouds': (Branch('weather', (0,)),),
-        'weather[1].clouds': (Branch('weather', (1,)),),
-        'weather[1].rain_percent': (Branch('weather', (1,)),),
-    }
-    points = [space.point(point) for point in np.random.default_rng(1).random((50, 8))]
-    assert {sum(each is not None for each in point) for point in points} == {6, 7}
-
-
 def test_s9_given_choices_under_several_options_when_asked_then_each_way_there_is_known(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         'from scenic.core.distributions import distributionFunction\n'
         '@distributionFunction\ndef dry(choice):\n    return 0\n'
         + WORLD + 'shared = Range(0, 9)\nonly = Range(0, 9)\nboth = Range(0, 9)\n'
@@ -359,9 +338,9 @@ def test_s9_given_choices_under_several_options_when_asked_then_each_way_there_i
 
 
 def test_s9_given_a_choice_that_decides_but_is_not_searched_when_asked_then_its_options_count(
-    compiled: Compile,
+    space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         WORLD + 'param rain = Uniform(VerifaiRange(0, 1), VerifaiRange(2, 3))\n'
         'ego = new Plane at (0, VerifaiRange(0, 100))\n'
     )
@@ -395,7 +374,7 @@ def test_s9_given_an_override_when_a_choice_has_one_branch_left_then_it_hangs_on
 
 
 def test_s9_given_a_space_when_shown_then_conditions_and_what_is_not_searched_are_plain(
-    s_falsif: SceneSource, compiled: Compile,
+    s_falsif: SceneSource, space_of: Compile,
 ) -> None:
     assert space_lines(s_falsif.search_space()) == [
         'searched: time_of_day_h, weather, ego.position.x, ego.position.y, ego.heading; '
@@ -426,10 +405,10 @@ REGIONS = {
 
 @pytest.mark.parametrize('region', REGIONS)
 def test_s7_given_a_region_when_searched_then_its_points_are_at_quantiles_of_its_own_sampling(
-    client: Any, compiled: Compile, region: str,
+    client: Any, space_of: Compile, region: str,
 ) -> None:
     parts, quantiles, (x, y) = REGIONS[region]
-    space = compiled(WORLD + f'ego = new Plane in {region}\n')
+    space = space_of(WORLD + f'ego = new Plane in {region}\n')
     assert names(space) == [f'ego.position.{part}' for part in parts]
     assert space.unsearched == ()
     values = at(client, *quantiles)
@@ -439,18 +418,18 @@ def test_s7_given_a_region_when_searched_then_its_points_are_at_quantiles_of_its
 
 
 def test_s7_given_a_rectangle_along_the_runway_when_asked_then_its_values_are_known(
-    compiled: Compile,
+    space_of: Compile,
 ) -> None:
-    space = compiled(WORLD + 'ego = new Plane in RectangularRegion((1, 500), 0, 6, 300)\n')
+    space = space_of(WORLD + 'ego = new Plane in RectangularRegion((1, 500), 0, 6, 300)\n')
     across, along = space.choices
     assert (across.dimension.low, across.dimension.high) == (-2, 4)
     assert along.probability_within(350, 380) == pytest.approx(0.1)
 
 
 def test_s7_given_a_region_without_quantiles_when_searched_then_random_draws_and_it_is_named(
-    client: Any, compiled: Compile,
+    client: Any, space_of: Compile,
 ) -> None:
-    space = compiled(
+    space = space_of(
         WORLD + 'Odd = type("Odd", (RectangularRegion,), {})\n'
         'ego = new Plane in Odd((0, 500), 0, 8, 600)\n'
     )

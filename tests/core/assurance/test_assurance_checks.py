@@ -59,8 +59,7 @@ def seen_in(scene):
     return now.image, now.truth
 
 
-@pytest.mark.parametrize('scene', SCENES)
-@pytest.mark.parametrize('off_m', [-3.0, 2.0, 3.0])
+@pytest.mark.parametrize(('scene', 'off_m'), [*zip(SCENES, [-3.0, 2.0, 3.0], strict=True)])
 def test_given_a_shifted_estimate_then_the_paint_is_found_where_it_is(scene, off_m):
     image, truth = seen_in(scene)
     looking = Reprojection(scene)

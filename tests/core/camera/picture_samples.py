@@ -27,10 +27,11 @@ MOUNT = Rotation.from_euler('xyz', [0.0, 10.42, -4.15], degrees=True)
 
 
 def at(
-    x: float = 1000.0, y: float = 0.0, heading_deg: float = 0.0, pitch_deg: float = 0.1064
+    x: float = 1000.0, y: float = 0.0, heading_deg: float = 0.0, pitch_deg: float = 0.1064,
+    roll_deg: float = 0.0,
 ) -> AircraftState:
     return AircraftState(
-        x_m=x, y_m=y, z_m=1.55, roll_rad=0.0, pitch_rad=math.radians(pitch_deg),
+        x_m=x, y_m=y, z_m=1.55, roll_rad=math.radians(roll_deg), pitch_rad=math.radians(pitch_deg),
         yaw_rad=math.radians(heading_deg), speed_mps=5.0, yaw_rate_radps=0.0,
     )
 

@@ -1,9 +1,9 @@
 """Others on the ground in the picture: where they are by geometry, in the scene's light."""
 
-import math
 
 import numpy as np
 import pytest
+from picture_samples import at
 
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.camera.light import LUMINANCE
@@ -11,12 +11,8 @@ from taxinet_ros.core.rig.catalogue import find_camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic import KINDS
 from taxinet_ros.core.traffic.traffic_file import load_traffic
-from taxinet_ros.core.types import AircraftState
 
-STATE = AircraftState(
-    x_m=400.0, y_m=0.0, z_m=1.55, roll_rad=0.0, pitch_rad=math.radians(0.11), yaw_rad=0.0,
-    speed_mps=5.0, yaw_rate_radps=0.0,
-)
+STATE = at(400.0)
 NOON = {'time_of_day_s': 11 * 3600.0, 'shadows': False}
 DULL = {'clouds': 'overcast', 'shadows': False}
 

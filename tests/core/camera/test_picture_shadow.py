@@ -122,16 +122,6 @@ def test_given_the_sun_behind_when_photographed_then_the_shadow_lies_where_rays_
     assert found[outside].sum() < 30
 
 
-def test_given_an_edge_when_photographed_then_it_is_soft() -> None:
-    state = at()
-    lit, dark = (luminance(shot(state, 15.0, shadows=on)) for on in (False, True))
-    share = ((lit - dark) / lit)[:, OPEN]
-    partly = (share > 0.25 * share.max()) & (share < 0.75 * share.max())
-    outline = cv2.Canny((255 * (share > share.max() / 2)).astype(np.uint8), 50, 100) > 0
-    assert outline.sum() > 200
-    assert partly.sum() > 0.8 * outline.sum()
-
-
 @pytest.mark.parametrize('hour', [14.0, 16.0])
 def test_given_thicker_clouds_when_photographed_then_the_shadow_fades_until_there_is_none(
     hour: float,
@@ -160,6 +150,7 @@ def test_given_cloud_before_the_sun_when_photographed_then_the_penumbra_is_wider
         partly = (share > 0.2 * full) & (share < 0.8 * full)
         outline = cv2.Canny((255 * (share > full / 2)).astype(np.uint8), 50, 100) > 0
         widths[clouds] = partly.sum() / outline.sum()
+    assert widths['clear'] > 1.2, 'its edge is soft'
     assert widths['scattered'] == pytest.approx(widths['clear'], rel=0.25)
     assert widths['cirrus'] > 1.5 * widths['clear']
     assert widths['broken'] > 1.2 * widths['cirrus']

@@ -9,6 +9,7 @@ import pytest
 from ground_reference import ground_picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from picture_samples import at
 
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, intrinsics, pose
@@ -17,6 +18,7 @@ from taxinet_ros.core.camera.ground import view as ground_view
 from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, ground_layout
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.place.catalogue import default_runway, find_track
+from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.types import AircraftState
 
 KMWH = default_runway()
@@ -27,15 +29,8 @@ GAIN = np.array([1.0, 0.93, 0.71])
 NOTHING_HIDDEN = np.zeros(2, np.int32)
 
 
-def state(x: float, y: float, heading: float, roll: float, pitch: float) -> AircraftState:
-    return AircraftState(
-        x_m=x, y_m=y, z_m=1.55, roll_rad=math.radians(roll), pitch_rad=math.radians(pitch),
-        yaw_rad=math.radians(heading), speed_mps=5.0, yaw_rate_radps=0.0,
-    )
-
-
 POSES = st.builds(
-    state, st.floats(-300, 3400), st.floats(-220, 220), st.floats(-180, 180), st.floats(-6, 6),
+    at, st.floats(-300, 3400), st.floats(-220, 220), st.floats(-180, 180), st.floats(-6, 6),
     st.floats(-6, 6),
 )
 
@@ -54,24 +49,31 @@ def view_of_track() -> GroundView:
     )
 
 
-@settings(max_examples=40, deadline=None)
-@given(at=POSES, size=st.sampled_from([(IMAGE_HEIGHT, IMAGE_WIDTH), (150, 361), (90, 1)]))
-def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_written_rules(
-    at: AircraftState, size: tuple[int, int]
+def assert_as_written(
+    subject: GroundView, state: AircraftState, size: tuple[int, int], track: Track | None = None
 ) -> None:
-    _, to_optical, camera = pose(at)
+    """Every byte of the ground is that of the written rules."""
+    _, to_optical, camera = pose(state)
     rays = to_optical.T @ np.linalg.inv(intrinsics())
     stretched = ground_view._FINER_CODES * GAIN
     wanted = ground_picture(
-        atlas=ground_atlas(KMWH),
+        atlas=ground_atlas(KMWH, track),
         grain=cv2.multiply(grain_atlas(), np.append(stretched, 1.0)),
         neutral=np.rint(ground.GRAIN_NEUTRAL * stretched).astype(np.uint8),
         sight=pixels.Sight(rays, camera, *size),
         camera=camera,
         dither=ground_view._dither(*size),
-        layout=ground_layout(KMWH),
+        layout=ground_layout(KMWH, track),
     )
-    np.testing.assert_array_equal(view(*size).render(rays, camera), wanted)
+    np.testing.assert_array_equal(subject.render(rays, camera), wanted)
+
+
+@settings(max_examples=40, deadline=None)
+@given(state=POSES, size=st.sampled_from([(IMAGE_HEIGHT, IMAGE_WIDTH), (150, 361), (90, 1)]))
+def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_written_rules(
+    state: AircraftState, size: tuple[int, int]
+) -> None:
+    assert_as_written(view(*size), state, size)
 
 
 @settings(max_examples=15, deadline=None)
@@ -80,28 +82,16 @@ def test_given_a_pose_at_a_track_when_its_ground_is_sampled_then_the_same_rules_
     share: float, left: float, turned: float
 ) -> None:
     x, y, yaw = TRACK.pose(share * TRACK.length_m, left, turned)
-    _, to_optical, camera = pose(state(x, y, math.degrees(yaw), 1.0, -1.0))
-    rays = to_optical.T @ np.linalg.inv(intrinsics())
-    stretched = ground_view._FINER_CODES * GAIN
-    size = IMAGE_HEIGHT, IMAGE_WIDTH
-    wanted = ground_picture(
-        atlas=ground_atlas(KMWH, TRACK),
-        grain=cv2.multiply(grain_atlas(), np.append(stretched, 1.0)),
-        neutral=np.rint(ground.GRAIN_NEUTRAL * stretched).astype(np.uint8),
-        sight=pixels.Sight(rays, camera, *size),
-        camera=camera,
-        dither=ground_view._dither(*size),
-        layout=ground_layout(KMWH, TRACK),
-    )
-    np.testing.assert_array_equal(view_of_track().render(rays, camera), wanted)
+    seen_from = at(x, y, math.degrees(yaw), -1.0, 1.0)
+    assert_as_written(view_of_track(), seen_from, (IMAGE_HEIGHT, IMAGE_WIDTH), TRACK)
 
 
 @settings(max_examples=20, deadline=None)
-@given(at=POSES, seed=st.integers(0, 9))
+@given(state=POSES, seed=st.integers(0, 9))
 def test_given_hidden_columns_when_the_ground_is_sampled_then_they_stay_and_the_rest_is_the_same(
-    at: AircraftState, seed: int
+    state: AircraftState, seed: int
 ) -> None:
-    _, to_optical, camera = pose(at)
+    _, to_optical, camera = pose(state)
     rays = to_optical.T @ np.linalg.inv(intrinsics())
     height, width = 40, 361
     hidden = np.random.default_rng(seed).integers(0, width + 1, height, dtype=np.int32)

@@ -160,12 +160,9 @@ def test_given_a_read_only_picture_when_changed_then_it_refuses() -> None:
     lambda picture: pixels.add_shine(
         picture, np.ones(4, np.float32), np.ones(6, np.float32), (1, 1, 1)),
 ])  # fmt: skip
-@pytest.mark.parametrize('kind', [np.float64, np.int8, np.uint16])
-def test_given_a_picture_of_another_kind_when_changed_then_it_refuses_to_change_a_copy(
-    call, kind: type
-) -> None:
+def test_given_a_picture_of_another_kind_then_it_refuses_to_change_a_copy(call) -> None:
     with pytest.raises(TypeError, match='incompatible function arguments'):
-        call(PICTURE.astype(kind))
+        call(PICTURE.astype(np.int8))
 
 
 def reduced_by_opencv(frame: np.ndarray, bands: list[tuple[int, int]], columns: int) -> np.ndarray:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import cv2
@@ -9,11 +8,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from picture_samples import at
 from scipy.spatial import ConvexHull
 
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, intrinsics, pose
 from taxinet_ros.core.camera.pixels import Sight, outlines
-from taxinet_ros.core.types import AircraftState
 
 
 class Seen(NamedTuple):
@@ -34,14 +33,10 @@ class Seen(NamedTuple):
 
 
 def seen_from(heading_deg: float, roll_deg: float = 0.0, pitch_deg: float = 0.0) -> Seen:
-    state = AircraftState(
-        x_m=900.0, y_m=-3.0, z_m=1.55, roll_rad=math.radians(roll_deg),
-        pitch_rad=math.radians(pitch_deg), yaw_rad=math.radians(heading_deg), speed_mps=5.0,
-        yaw_rate_radps=0.0,
-    )  # fmt: skip
-    _, to_optical, camera = pose(state)
+    _, to_optical, camera = pose(at(900.0, -3.0, heading_deg, pitch_deg, roll_deg))
     rays = to_optical.T @ np.linalg.inv(intrinsics())
     return Seen(rays, camera, Sight(rays, camera, IMAGE_HEIGHT, IMAGE_WIDTH))
+
 
 SIGHTS = st.builds(seen_from, st.floats(-180, 180), st.floats(-4, 4), st.floats(-4, 4))
 PIXELS = st.tuples(st.floats(0, IMAGE_WIDTH - 1), st.floats(60, IMAGE_HEIGHT - 1))

@@ -117,13 +117,16 @@ def test_given_no_finite_value_when_judged_then_there_is_no_rho(bad: float, text
 
 
 @sentence(15)
-@pytest.mark.parametrize('stamps', [[0, S, S], [0, 2 * S, S], [-1, 0, S]])
+@pytest.mark.parametrize('stamps', [[0, S, S], [0, 2 * S, S], [-1], [HORIZON, HORIZON]])
 def test_given_bad_stamps_when_judged_then_there_is_no_rho(stamps: list[int]) -> None:
-    rest = [i * S for i in range(3, 31)]
-    reading = watch([*stamps, *rest], [0.0] * 31)
+    monitor = Monitor(SHIPPED['phi_always'], HORIZON)
+    readings = [monitor.push(stamp, {'cte': 0.0}) for stamp in stamps]
+    assert [reading.valid for reading in readings] == [True] * (len(stamps) - 1) + [False]
+    assert readings[-1].rejected == 1
+    reading = monitor.push(HORIZON + 1, {'cte': 0.0})
     assert (reading.valid, reading.final, reading.verdict) == (False, False, Verdict.UNKNOWN)
     with pytest.raises(UsageError):
-        rho('always(cte <= 1)', [0.0] * 31, [*stamps, *rest])
+        rho('always(cte <= 1)', [0.0] * len(stamps), stamps)
 
 
 @sentence(16, 17)

@@ -114,39 +114,30 @@ def test_given_rates_when_read_then_the_monitor_takes_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ('texts', 'message'),
+    ('parse', 'texts', 'message'),
     [
-        (['cte'], "bound 'cte': expected SIGNAL=..., e.g. cte=-25:25"),
-        (['lateral=0:1'], "unknown signal 'lateral'; known: cte"),
-        (['cte=0:1', 'cte=0:2'], 'cte has one already'),
-        (['cte=25'], r'expected LOW:HIGH with LOW <= HIGH \[m\], e.g. cte=-25:25'),
-        (['cte=2:1'], 'expected LOW:HIGH'),
-        (['cte=a:b'], 'expected LOW:HIGH'),
-        (['cte=nan:1'], 'expected LOW:HIGH'),
-        (['cte=inf:inf'], 'expected LOW:HIGH'),
-        (['he=0:1:2'], r'\[rad\], e.g. he='),
+        (parse_bounds, ['cte'], "bound 'cte': expected SIGNAL=..., e.g. cte=-25:25"),
+        (parse_bounds, ['lateral=0:1'], "unknown signal 'lateral'; known: cte"),
+        (parse_bounds, ['cte=0:1', 'cte=0:2'], 'cte has one already'),
+        (parse_bounds, ['cte=25'],
+         r'expected LOW:HIGH with LOW <= HIGH \[m\], e.g. cte=-25:25'),
+        (parse_bounds, ['cte=2:1'], 'expected LOW:HIGH'),
+        (parse_bounds, ['cte=a:b'], 'expected LOW:HIGH'),
+        (parse_bounds, ['cte=nan:1'], 'expected LOW:HIGH'),
+        (parse_bounds, ['cte=inf:inf'], 'expected LOW:HIGH'),
+        (parse_bounds, ['he=0:1:2'], r'\[rad\], e.g. he='),
+        (parse_rates, ['cte'], "rate 'cte': expected SIGNAL=..., e.g. cte=3"),
+        (parse_rates, ['cte=-1'], r'expected a number >= 0 \[m per s\], e.g. cte=3'),
+        (parse_rates, ['cte=inf'], 'expected a number'),
+        (parse_rates, ['cte=fast'], 'expected a number'),
+        (parse_rates, ['cte=1', 'cte=1'], 'cte has one already'),
+        (parse_rates, ['up=1'], "unknown signal 'up'"),
     ],
 )
-def test_given_bad_bounds_when_read_then_one_line_says_why(texts: list[str], message: str) -> None:
+def test_given_bad_bounds_or_rates_when_read_then_one_line_says_why(parse, texts, message) -> None:
     with pytest.raises(UsageError, match=message) as caught:
-        parse_bounds(texts)
+        parse(texts)
     assert '\n' not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ('texts', 'message'),
-    [
-        (['cte'], "rate 'cte': expected SIGNAL=..., e.g. cte=3"),
-        (['cte=-1'], r'expected a number >= 0 \[m per s\], e.g. cte=3'),
-        (['cte=inf'], 'expected a number'),
-        (['cte=fast'], 'expected a number'),
-        (['cte=1', 'cte=1'], 'cte has one already'),
-        (['up=1'], "unknown signal 'up'"),
-    ],
-)
-def test_given_bad_rates_when_read_then_one_line_says_why(texts: list[str], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        parse_rates(texts)
 
 
 def test_given_signals_of_another_robot_then_those_are_known_and_ours_are_not():

@@ -44,14 +44,6 @@ def test_given_an_architecture_when_built_then_its_weights_have_the_promised_sha
     assert sum(math.prod(shape) for shape in promised.values()) * 4 < 2_000_000
 
 
-def test_given_one_network_when_it_looks_twice_then_the_answers_are_equal_to_the_bit() -> None:
-    subject = network()
-    first = subject.look(frame(1))
-    subject.look(frame(2))
-    assert subject.look(frame(1)) == first
-    assert subject.look(frame(2)) != first
-
-
 def test_given_a_read_only_or_strided_frame_when_looked_at_then_the_answer_is_the_same() -> None:
     subject, image = network(), frame(3)
     expected = subject.look(image)

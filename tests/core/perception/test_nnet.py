@@ -245,19 +245,14 @@ def test_given_any_word_then_a_whole_line_reads_it_as_the_strict_pattern_does(wo
 
 
 def test_given_a_file_without_an_end_or_too_large_then_one_line_and_little_is_read(tmp_path):
-    endless, large = tmp_path / 'endless.nnet', tmp_path / 'large.nnet'
-    endless.symlink_to('/dev/zero')
+    large = tmp_path / 'large.nnet'
     with large.open('wb') as file:
         file.truncate(nnet.MAX_NNET_BYTES + 1)
-    for path in (endless, Path('/dev/zero')):
+    for read, name in ((read_nnet, Path), (description_of, str)):
         with pytest.raises(UsageError, match='is a device, not a regular file'):
-            read_nnet(path)
-        with pytest.raises(UsageError, match='is a device, not a regular file'):
-            description_of(str(path))
-    with pytest.raises(UsageError, match='has more than 8 MiB; is it the right file'):
-        read_nnet(large)
-    with pytest.raises(UsageError, match='has more than 16 KiB; is it the right file'):
-        description_of(str(large))
+            read(name('/dev/zero'))
+        with pytest.raises(UsageError, match=r'has more than (8 M|16 K)iB; is it the right file'):
+            read(name(large))
 
 
 def test_given_no_file_or_a_folder_then_one_line(tmp_path):

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -40,14 +38,6 @@ def test_given_a_network_in_a_file_when_checked_by_the_contract_kit_then_it_pass
     make, tmp_path: Path
 ) -> None:
     testing.check_perception(str(make(tmp_path)))
-
-
-def test_given_any_perception_when_asked_again_later_then_the_estimate_is_equal(
-    perception: Perception,
-) -> None:
-    first = perception.estimate(frame(1), TRUTH)
-    perception.estimate(frame(2), TrackingError(cte_m=3.0, he_rad=-0.1))
-    assert perception.estimate(frame(1), TRUTH) == first
 
 
 def test_given_any_perception_when_described_then_word_fingerprint_and_need_agree(
@@ -149,15 +139,3 @@ def test_given_a_missing_weights_file_when_chosen_then_there_is_no_fallback(
 @pytest.mark.parametrize('word', perception_names())
 def test_given_a_known_word_when_checked_then_nothing_is_said(word: str) -> None:
     check_perception(word)
-
-
-def test_given_a_perception_when_chosen_then_torch_is_not_imported() -> None:
-    script = (
-        'import sys; from taxinet_ros.core.perception.perception import make_perception; '
-        'make_perception("truth"); make_perception("taxinet"); print("torch" in sys.modules)'
-    )
-    root = str(Path(__file__).parents[3])
-    result = subprocess.run(
-        [sys.executable, '-c', script], cwd=root, capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == 'False'

@@ -45,13 +45,21 @@ def changed(where: str, value: object) -> dict:
 
 
 @pytest.mark.parametrize('name', SHIPPED_PLACES)
-def test_given_a_shipped_place_when_found_then_its_frame_has_its_length_and_bearing(name):
-    runway = find_place(name).runway
-    frame = runway_frame(runway)
+def test_given_a_shipped_place_then_frame_document_and_paint_are_its_own(name):
+    place = find_place(name)
+    runway, frame = place.runway, runway_frame(place.runway)
     # KMWH's published length is 0.2 % short.
     assert frame.length_m == pytest.approx(runway.length_m, rel=3e-3)
     ahead = frame.to_geodetic(MapPose(x_m=0, y_m=0, z_m=0, yaw_rad=0)).heading_rad
     assert math.degrees(ahead) == pytest.approx(math.degrees(runway.bearing_rad), abs=0.1)
+    again = find_place(place.document)
+    assert (again.runway, again.digest) == (runway, place.digest)
+    assert again.reference == f'{name}@{place.digest[:12]}' != place.reference
+    corners = [corner for marking in markings(runway) for corner in marking.polygon]
+    assert len(corners) > 300
+    assert min(x for x, _ in corners) >= 0
+    assert max(x for x, _ in corners) <= runway.length_m
+    assert max(abs(y) for _, y in corners) <= runway.half_width_m
 
 
 def test_given_the_shipped_places_then_they_differ_in_bearing_width_category_and_hemisphere():
@@ -76,24 +84,6 @@ def test_given_keflavik_when_its_crossing_is_measured_then_it_is_where_01_19_is(
     )
     share = -south.y_m / (north.y_m - south.y_m)
     assert south.x_m + share * (north.x_m - south.x_m) == pytest.approx(crossing.x_m, abs=1.0)
-
-
-@pytest.mark.parametrize('name', SHIPPED_PLACES)
-def test_given_a_place_when_its_document_is_read_then_it_is_the_same_place(name):
-    place = find_place(name)
-    again = find_place(place.document)
-    assert (again.runway, again.digest) == (place.runway, place.digest)
-    assert again.reference == f'{name}@{place.digest[:12]}' != place.reference
-
-
-@pytest.mark.parametrize('name', SHIPPED_PLACES)
-def test_given_a_place_when_painted_then_all_lies_on_the_pavement(name):
-    runway = find_place(name).runway
-    corners = [corner for marking in markings(runway) for corner in marking.polygon]
-    assert len(corners) > 300
-    assert min(x for x, _ in corners) >= 0
-    assert max(x for x, _ in corners) <= runway.length_m
-    assert max(abs(y) for _, y in corners) <= runway.half_width_m
 
 
 def test_given_a_category_when_painted_then_it_has_the_circulars_kinds_of_marking():

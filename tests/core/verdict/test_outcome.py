@@ -49,13 +49,31 @@ def judged(ctes, stop_on, specs=(STAY, REACH), last_seq=10, estimates=None):
     return seq, judge.judgement
 
 
-def test_given_no_rule_then_a_violated_run_goes_on_to_its_horizon():
-    seq, judgement = judged([0, 2, *[0] * 9], StopOn.NEVER)
-    assert (seq, judgement.complete, judgement.stopped_early) == (10, True, False)
-    assert not judgement.satisfied
+# What a run's ends are: its last step, whether it is complete, stopped early, satisfied.
+ENDS = {
+    'no rule: to the horizon': ([0, 2, *[0] * 9], StopOn.NEVER, (STAY, REACH), (10, 1, 0, 0)),
+    'only another formula is violated':
+        ([2, *[0] * 10], StopOn.VIOLATED, (REACH, STAY), (10, 1, 0, 0)),
+    'the last formula is decided':
+        ([2, 2, 2, 1, 0, 0, 0], StopOn.DECIDED, (REACH, STAY), (3, 0, 1, 0)),
+    'all formulas are satisfied': ([2, 2, 1, 0, 0], StopOn.DECIDED, (REACH,), (2, 0, 1, 1)),
+    'a robustness of at most zero': ([0, 1.5, 0], StopOn.VIOLATED, (STAY, REACH), (1, 0, 1, 0)),
+    'decided at the horizon': ([*[0] * 10, 9], StopOn.VIOLATED, (STAY, REACH), (10, 1, 0, 0)),
+}
 
 
-def test_given_violated_when_the_headline_cannot_hold_any_more_then_the_run_ends_there():
+@pytest.mark.parametrize('case', ENDS)
+def test_given_a_rule_then_the_run_ends_at_the_step_that_decides_and_not_before(case: str) -> None:
+    ctes, stop_on, specs, ends = ENDS[case]
+    seq, judgement = judged(ctes, stop_on, specs)
+    assert (seq, judgement.complete, judgement.stopped_early, judgement.satisfied) == ends
+    if case == 'all formulas are satisfied':
+        assert judgement.readings[0].lower == 0.5
+    if case == 'a robustness of at most zero':
+        assert judgement.readings[0].verdict is Verdict.UNKNOWN, 'zero or worse, both are failures'
+
+
+def test_given_violated_when_the_headline_cannot_hold_any_more_then_the_run_ends_there() -> None:
     seq, judgement = judged([0.25, 1, 2.5, 9, 9, 9, 9, 9, 9, 9, 9], StopOn.VIOLATED)
     assert (seq, judgement.stopped_early, judgement.complete) == (2, True, False)
     assert not judgement.satisfied
@@ -65,35 +83,7 @@ def test_given_violated_when_the_headline_cannot_hold_any_more_then_the_run_ends
     assert judgement.statistics.max_cross_track_m == 2.5
 
 
-def test_given_violated_when_only_another_formula_is_violated_then_the_run_goes_on():
-    seq, judgement = judged([2, *[0] * 10], StopOn.VIOLATED, specs=(REACH, STAY))
-    assert (seq, judgement.complete, judgement.stopped_early) == (10, True, False)
-    assert not judgement.satisfied
-
-
-def test_given_decided_when_the_last_formula_is_decided_then_the_run_ends_there():
-    seq, judgement = judged([2, 2, 2, 1, 0, 0, 0], StopOn.DECIDED, specs=(REACH, STAY))
-    assert (seq, judgement.stopped_early, judgement.satisfied) == (3, True, False)
-
-
-def test_given_decided_when_all_formulas_are_satisfied_then_the_stopped_run_passes():
-    seq, judgement = judged([2, 2, 1, 0, 0], StopOn.DECIDED, specs=(REACH,))
-    assert (seq, judgement.stopped_early, judgement.satisfied) == (2, True, True)
-    assert judgement.readings[0].lower == 0.5
-
-
-def test_given_a_robustness_of_at_most_zero_then_the_headline_counts_as_violated():
-    seq, judgement = judged([0, 1.5, 0], StopOn.VIOLATED)
-    assert (seq, judgement.stopped_early) == (1, True)
-    assert judgement.readings[0].verdict is Verdict.UNKNOWN, 'zero or worse, and both are failures'
-
-
-def test_given_the_decision_at_the_horizon_then_the_run_is_whole_and_not_stopped():
-    seq, judgement = judged([*[0] * 10, 9], StopOn.VIOLATED)
-    assert (seq, judgement.complete, judgement.stopped_early) == (10, True, False)
-
-
-def test_given_an_unusable_sample_then_a_run_without_verdict_is_never_stopped():
+def test_given_an_unusable_sample_then_a_run_without_verdict_is_never_stopped() -> None:
     blind = [0, math.nan, *[0] * 9]
     seq, judgement = judged([0, 0, *[9] * 9], StopOn.VIOLATED, (STAY, SEEN), estimates=blind)
     assert (seq, judgement.complete, judgement.stopped_early) == (10, False, False)

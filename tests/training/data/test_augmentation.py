@@ -27,15 +27,10 @@ def frame() -> np.ndarray:
     return Camera(SCENE).render(Aircraft(SCENE).state, 0)
 
 
-def test_given_a_neutral_variation_when_developed_then_the_frame_is_unchanged(
-    frame: np.ndarray,
+def test_given_a_variation_when_developed_then_a_neutral_one_changes_nothing_and_any_repeats(
+    frame: np.ndarray
 ) -> None:
     assert np.array_equal(NEUTRAL.develop(frame), frame)
-
-
-def test_given_a_variation_when_developed_twice_then_the_frames_are_equal(
-    frame: np.ndarray,
-) -> None:
     variation = draw_variation(np.random.default_rng(7))
     assert np.array_equal(variation.develop(frame), variation.develop(frame))
 
