@@ -11,7 +11,6 @@ import yaml
 from own_place import OWN_PLACE
 from plugins import lay_down
 
-from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.audit import bag_difference, result_difference
 from taxinet_ros.campaign.loop_run import Loop, LoopOptions
@@ -192,7 +191,7 @@ def test_given_a_monitor_that_switches_then_every_byte_is_the_same(fallback, tmp
     assert result.outcome.judged
     folder = tmp_path / 'loop' / 'run-0'
     recorded = open_recording(folder).messages(('taxi_command',))
-    commands = [decode_of(folder, one, count).speed for count, (_, one) in enumerate(recorded)]
+    commands = [message.speed for _, _, message in recorded]
     assert len(commands) == 16
     assert commands[:4] == [5.0] * 4
     assert commands[4:] == [0.0 if fallback == 'stop' else 5.0] * 12
