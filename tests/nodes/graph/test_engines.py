@@ -174,7 +174,7 @@ def test_given_a_monitor_that_switches_then_every_byte_is_the_same(fallback, tmp
     assert result.outcome.judged
     folder = tmp_path / 'loop' / 'run-0'
     recorded = open_recording(folder).messages(('taxi_command',))
-    commands = [one.message.speed for one in recorded]
+    commands = [message.speed for _, _, message in recorded]
     assert len(commands) == 16
     assert commands[:4] == [5.0] * 4
     assert commands[4:] == [0.0 if fallback == 'stop' else 5.0] * 12
