@@ -42,8 +42,8 @@ SUITES = {'fast': 'not nightly', 'nightly': 'nightly', 'before': ''}
 """Tests by their marks; those before are all of a checkout of an earlier commit."""
 WORK = Path('build/seeded_faults')
 
-_QUICK_S, _QUICKEST = 30.0, 3
-"""Tried first: tests of about this time [s], so many of a file."""
+_QUICK_S, _QUICKEST, _FIRST_FILES = 10.0, 3, 5
+"""Tried first: tests of about this time [s], so many of a file, of so many files."""
 _TEST_S = 600
 """Time limit of one test [s]."""
 _MEMORY_BYTES = 4 << 30
@@ -314,19 +314,20 @@ def batches(fault: Fault, reach: Mapping[str, Any]) -> Iterator[list[str]]:
     for test in sorted(direct, key=lambda test: times[test]):
         by_file[test.partition('::')[0]].append(test)
     rooms = ROOMS[fault.room]
+    folder, _, module = fault.path.rpartition('/')
     files = sorted(by_file, key=lambda file: (
+        module.removesuffix('.py') not in file, f'tests/{folder}/' not in file,
         file.split('/')[1] not in rooms, sum(times[test] for test in by_file[file][:_QUICKEST]),
     ))
     quick, spent = [], 0.0
-    for file in files:
+    for file in files[:_FIRST_FILES]:
         for test in by_file[file][:_QUICKEST]:
             if spent + times[test] <= _QUICK_S or not quick:
                 quick.append(test)
                 spent += times[test]
-    folder = f'tests/{fault.path.rpartition("/")[0]}'
     shared = {*reach['files'].get(fault.name, ()), *(
         test.partition('::')[0] for test in times
-        if test.partition('::')[0].rpartition('/')[0] == folder)}
+        if test.partition('::')[0].rpartition('/')[0] == f'tests/{folder}')}
     done = set(quick)
     for batch in (
         quick, [test for file in files for test in by_file[file] if test not in done],
@@ -346,7 +347,7 @@ def judge(
     for batch in itertools.islice(batches(fault, reach), 1 if quick else None):
         chosen = [test for test in batch if test not in skipped]
         files = list(dict.fromkeys(test.partition('::')[0] for test in chosen))
-        limit_s = 180 + 5 * sum(reach['tests'][test] for test in chosen)
+        limit_s = 300 + 10 * sum(reach['tests'][test] for test in chosen)
         with changed(planted(fault, where)):
             ended = run_tests(chosen, files, ['-x'], limit_s)
         tests += len({one['test'] for one in ended})
