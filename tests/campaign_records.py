@@ -33,13 +33,21 @@ def write_campaign(
         record.put_all([
             (FACTS, '', facts),
             *((BEGUN, run_key(index), 1) for index in indices),
-            *((ROW, run_key(row.index), row.to_json()) for row in rows),
-            *((REQUIREMENT, name, formula) for name, formula in (added or {}).items()),
+            *((ROW, run_key(row.index), _recorded(row, added or {})) for row in rows),
+            *((REQUIREMENT, name, {'formula': formula, 'intervals': {
+                run_key(row.index): row.robustness[name] for row in rows if name in row.robustness
+            }}) for name, formula in (added or {}).items()),
             *([(END, '', len(rows))] if ended else []),
         ])
     if ended:
         write_tables(rows, folder, facts)
     return folder
+
+
+def _recorded(row: RunRow, added: Mapping[str, str]) -> dict[str, Any]:
+    values = row.to_json()
+    own = {name: ends for name, ends in row.robustness.items() if name not in added}
+    return {**values, **({'robustness': own} if own else {})}
 
 
 def change_row(folder: Path, index: int, /, **changes: Any) -> None:

@@ -61,7 +61,7 @@ def test_given_a_table_alone_then_only_one_of_pandas_is_unverified(tmp_path, cap
     read_table(tmp_path / 'own.parquet').to_parquet(tmp_path / 'pandas.parquet')
     assert not is_sealed_table(tmp_path / 'p', (tmp_path / 'pandas.parquet').read_bytes())
     assert len(read_table(tmp_path / 'pandas.parquet')) == 30
-    assert 'its tables are unverified' in capsys.readouterr().err
+    assert 'pandas.parquet: is unverified' in capsys.readouterr().err
 
 
 def test_given_a_table_that_was_edited_and_kept_the_checksum_then_it_is_refused(tmp_path):

@@ -115,7 +115,9 @@ def _entries(folder: Path) -> bytes:
         ).to_json()
     return json.dumps({
         FACTS: {'': _search_facts(folder)}, ROW: rows, BEGUN: dict.fromkeys(rows, 1),
-        REQUIREMENT: {'on_runway': 'always(abs(cte) <= 15)'},
+        REQUIREMENT: {'on_runway': {
+            'formula': 'always(abs(cte) <= 15)', 'intervals': {run_key(0): (1.0, 1.0)},
+        }},
     }).encode()
 
 

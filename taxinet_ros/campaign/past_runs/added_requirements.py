@@ -12,7 +12,6 @@ from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 from taxinet_ros.campaign.record.content import (
     MAKERS,
     REQUIREMENT,
-    ROW,
     CampaignContent,
     campaign_content,
     read_campaign,
@@ -86,20 +85,16 @@ def add_requirements(
         for row in content.rows:
             if row.outcome.judged and (bag := bags.get(folder / row.bag)) and not bag.trouble:
                 check_same_run(row, content.facts, open_recording(bag.path))
-        rows = {row.index: row for row in content.rows}
-        counts = {spec.name: 0 for spec in specs}
-        for spec in specs:
-            for row in content.rows:
-                interval = _interval(row, spec, bags.get(folder / row.bag))
-                if interval is not None:
-                    rows[row.index] = rows[row.index].also_judged(spec.name, interval)
-                    counts[spec.name] += 1
-        record.put_all([
-            *((REQUIREMENT, spec.name, spec.text) for spec in specs),
-            *((ROW, run_key(row.index), row.to_json()) for row in rows.values()),
-        ])
-        write_tables(rows.values(), folder, content.facts)
-    return counts
+        entries = {
+            spec.name: {'formula': spec.text, 'intervals': {
+                run_key(row.index): interval for row in content.rows
+                if (interval := _interval(row, spec, bags.get(folder / row.bag))) is not None
+            }}
+            for spec in specs
+        }
+        record.put_all((REQUIREMENT, name, values) for name, values in entries.items())
+        write_tables(read_campaign(folder).rows, folder, content.facts)
+    return {name: len(values['intervals']) for name, values in entries.items()}
 
 
 def _opened(folder: Path) -> Record:

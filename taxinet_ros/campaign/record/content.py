@@ -9,6 +9,7 @@ from typing import Any
 
 from taxinet_ros.campaign.record.facts import FACTS, SPARE
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Entries, Makers, read_record
@@ -82,11 +83,17 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
             (key, CATALOGUES[key].find(document).reference)
             for key, document in entries.get(DOCUMENT, {}).values()
         )
+        rows = dict(entries.get(ROW, {}))
+        added = entries.get(REQUIREMENT, {})
+        for name, values in added.items():
+            for key, ends in values['intervals'].items():
+                if key in rows:  # else it was lost, and is made again
+                    rows[key] = rows[key].also_judged(name, RobustnessInterval(*ends))
         return CampaignContent(
-            facts=next(iter(facts.values()), {}),
-            rows=tuple(entries.get(ROW, {}).values()),
+            facts=next(iter(facts.values()), {}), rows=tuple(rows.values()),
             attempts={int(key): attempts for key, attempts in entries.get(BEGUN, {}).items()},
-            added=entries.get(REQUIREMENT, {}), finished=END in entries, documents=documents,
+            added={name: values['formula'] for name, values in added.items()},
+            finished=END in entries, documents=documents,
         )
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise UsageError(f'{path}: not a record of this version ({error})') from error

@@ -187,7 +187,7 @@ def test_given_a_book_that_was_never_begun_then_no_table_says_otherwise(tmp_path
     assert not (tmp_path / CSV_NAME).exists()
 
 
-@pytest.mark.parametrize('most_bytes', [70_000, 150_000])
+@pytest.mark.parametrize('most_bytes', [40_000, 150_000])
 def test_given_a_full_disk_then_the_campaign_ends_with_one_line_and_goes_on_when_there_is_room(
     tmp_path, capsys, most_bytes
 ):

@@ -142,22 +142,28 @@ def test_given_a_row_that_cannot_be_then_the_record_is_refused(
 
 
 def test_given_a_later_requirement_when_on_record_then_the_rows_of_before_have_it(tmp_path: Path):
+    passed = dataclasses.replace(
+        row(3, stopped=False), outcome=Outcome.PASS,
+        robustness=exact_intervals(dict.fromkeys(SPECS, 1.0)),
+    )
     rows = (
         row(0, stopped=True).also_judged('late', RobustnessInterval(-1.0, 2.0)),
         row(1, stopped=False).also_judged('late', RobustnessInterval.exactly(0.5)),
         row(2, stopped=False),
+        passed.also_judged('late', RobustnessInterval.exactly(-4.0)),
     )
     folder = campaign(tmp_path, *rows, added={'late': 'always(cte < 1)'})
     content = read_campaign(folder)
     assert content.added == {'late': 'always(cte < 1)'}
-    first, second, third = content.rows
+    first, second, third, fourth = content.rows
     assert first.robustness['late'] == (-1.0, 2.0)
     assert first.headline == (-math.inf, -0.25), 'the headline stays the first'
     assert second.rho['late'] == 0.5
     assert second.headline == (-3.0, -3.0)
     assert 'late' not in third.robustness, 'it was run afterwards'
+    assert (fourth.outcome, fourth.rho['late']) == ('PASS', -4.0), 'outcomes are of the first ones'
     frame = read_table(folder)
-    assert list(frame['rho_late'].fillna(9)) == [9, 0.5, 9]
-    assert list(frame['rho_upper.late'].fillna(9)) == [2.0, 0.5, 9]
+    assert list(frame['rho_late'].fillna(9)) == [9, 0.5, 9, -4.0]
+    assert list(frame['rho_upper.late'].fillna(9)) == [2.0, 0.5, 9, -4.0]
     with pytest.raises(ValueError, match='FAIL with bad'):
         row(1, stopped=False).also_judged('bad', RobustnessInterval(-1.0, 2.0))

@@ -30,6 +30,7 @@ from taxinet_ros.extras.forecast.forecast import (
     samples_of,
     write_forecast,
 )
+from taxinet_ros.files.sealed_json import write_sealed
 
 # Starts at 1 to 2.4 m, three of four of which come back soon enough; truth, so that it is quick.
 PROGRAM = """model runway_world
@@ -135,7 +136,7 @@ def test_given_a_file_then_it_is_the_same_forecast_and_damage_is_named(
     with pytest.raises(UsageError, match='damaged or edited'):
         read_forecast(path)
     other = tmp_path / 'other.json'
-    shutil.copy(folders / 'cal' / 'campaign.json', other)
+    write_sealed(other, {'of': 'something else'})
     with pytest.raises(UsageError, match='not a forecast of this version'):
         read_forecast(other)
 
@@ -154,7 +155,7 @@ def test_given_runs_of_others_then_they_are_outside_the_guarantee_by_name(
     (why,) = outside_of_run(forecast, open_recording(alone), None)
     assert why.startswith('no campaign beside it')
     other = dataclasses.replace(campaign, content=dataclasses.replace(
-        campaign.content, campaign={**campaign.facts, 'perception_sha256': 'a' * 64}))
+        campaign.content, facts={**campaign.facts, 'perception_sha256': 'a' * 64}))
     (why,) = outside_of_run(forecast, open_recording(bag), other)
     assert why.startswith('perception sha256 aaaaaaaaaaaaaaaa, calibrated on truth')
     changed = {'program': 'x', 'settings': 'rain_percent=80', 'perception': 'y'}
@@ -167,7 +168,7 @@ def test_given_another_sampler_then_its_runs_are_outside(folders, forecast, othe
     rows = [dataclasses.replace(row, sampler='ce', drawn=False) for row in campaign.rows]
     searched = dataclasses.replace(campaign, content=dataclasses.replace(
         campaign.content, rows=tuple(rows),
-        campaign={**campaign.facts, 'sampler': 'ce'},
+        facts={**campaign.facts, 'sampler': 'ce'},
     ))
     bag = open_recording(folders / 'other' / rows[0].run_id)
     assert outside_of_run(forecast, bag, searched) == [
@@ -191,7 +192,7 @@ def test_given_a_campaign_that_its_results_ended_then_it_cannot_calibrate(folder
     campaign = open_campaign(folders / 'other')
     stopped = dataclasses.replace(campaign, content=dataclasses.replace(
         campaign.content, rows=campaign.rows[:10],
-        campaign={**campaign.facts, 'until': ['failures=3']},
+        facts={**campaign.facts, 'until': ['failures=3']},
     ))
     with pytest.raises(UsageError, match='may have ended by --until failures=3'):
         calibrate(stopped)
