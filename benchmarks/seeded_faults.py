@@ -8,6 +8,7 @@ them; the tests that reach them and the log are in ``build/seeded_faults``.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import contextlib
 import dataclasses
@@ -25,7 +26,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import leave, make_table, options, page_console
+from common import leave, make_table, page_console
 
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -400,7 +401,7 @@ def show(faults: Sequence[Fault]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command."""
-    parser = options(__doc__)
+    parser = argparse.ArgumentParser(description=(__doc__ or '').split('\n\n')[0])
     parser.add_argument('command', choices=('reach', 'run', 'table'))
     parser.add_argument('words', nargs='*', metavar='WORD', help=(
         'reach: test files, else all; run: names of faults, or their beginnings, else all; table: '

@@ -28,6 +28,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 
 WORDS = ('as-recorded', 'truth', 'truth-heading', 'truth-cte')
+DELAYED = 'delayed:0.5'
 
 
 def row(index: int, rho: float = -2.0) -> RunRow:
@@ -40,12 +41,12 @@ def row(index: int, rho: float = -2.0) -> RunRow:
 
 
 def trials(index: int, *answers: bool | None, exact: bool = True, control: float = -2.0):
-    """Trials of a run: the control, then truth, heading and CTE as far as they are given."""
+    """Trials of a run: the control, then truth, heading, CTE and a delay as far as given."""
     made = [Trial(run_id=f'run-{index}', word='as-recorded', passed=control > 0, exact=exact,
                   robustness=RobustnessInterval.exactly(control))]
     made += [
         Trial(run_id=f'run-{index}', word=word, passed=passed)
-        for word, passed in zip(WORDS[1:], answers, strict=False)
+        for word, passed in zip((*WORDS[1:], DELAYED), answers, strict=False)
     ]
     return {trial.word: trial for trial in made}
 
@@ -107,6 +108,12 @@ def test_given_answers_then_network_law_or_both_are_to_blame(answers, parts):
     for part in parts:
         assert part in words
     assert 'examined' not in words
+
+
+def test_given_another_perception_then_its_share_is_told_beside_what_the_truth_shows():
+    words = said([(True, True, True, True), (True, True, True, False)], words=(*WORDS, DELAYED))
+    assert "With the network's estimate of 0.5 s ago 1 of 2 pass: 50 % (1–99 %)." in words
+    assert words.count('With ') == 1
 
 
 def test_given_runs_that_are_not_as_recorded_then_they_are_named_and_in_no_share():

@@ -218,6 +218,20 @@ def test_s9_given_refused_points_when_asked_again_then_the_run_stays_and_has_ano
         assert tried[3] == undisturbed[3]
 
 
+def test_given_a_refused_move_when_splitting_then_the_run_is_that_of_the_next_chain() -> None:
+    def after_the_draws() -> Lagged:
+        sampler = make_sampler('splitting', SPACE, 1, 200, draws=50, particles=10, islands=2)
+        for _ in range(50):
+            index, point = sampler.next()
+            sampler.tell(index, point[0] - 1e-3)
+        return sampler
+
+    refused, undisturbed = after_the_draws(), after_the_draws()
+    assert refused.next() == undisturbed.next()
+    assert not refused.drawn(50)
+    assert refused.again() == undisturbed.next()[1]
+
+
 def test_s9_given_a_run_with_its_result_when_asked_for_another_point_then_there_is_none() -> None:
     sampler = Lagged(Diary())
     with pytest.raises(RuntimeError, match='run -1 is not waiting'):

@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import re
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from tampering import tamper
 from waiting import wait_for
 
 from taxinet_ros.core.pacing.timing import AT_ONCE, free_timing
-from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
@@ -118,8 +119,14 @@ def test_ros21_given_a_graph_at_work_then_each_node_tells_how_it_is_doing(tmp_pa
                 gatherer.told(name, OK, 'run run-', figures.get(name, ''))
                 for name in (SIMULATOR, *PARTICIPANTS))
 
+        def judged(_: Any, result: RunResult) -> bool:
+            walls_s.append(result.wall_s)
+            return result.outcome.judged
+
         figures = {'mtl_monitor': 'phi_always', SIMULATOR: 'perception'}
-        graph.run(runs_until(all_told), lambda request, result: result.outcome.judged)
+        begun_s, walls_s = time.monotonic(), []
+        graph.run(runs_until(all_told), judged)
+        assert 0 < sum(walls_s) < time.monotonic() - begun_s
         told = {
             name: values_of(gatherer.told(name, OK, 'run run-', figures.get(name, '')))
             for name in (SIMULATOR, *PARTICIPANTS)
@@ -128,7 +135,7 @@ def test_ros21_given_a_graph_at_work_then_each_node_tells_how_it_is_doing(tmp_pa
     assert float(simulator['real-time factor']) == pytest.approx(
         float(simulator['step rate [1/s]']) / 10, rel=1e-4)
     mean, most = (float(simulator[f'frame time, {one} [ms]']) for one in ('mean', 'max'))
-    assert 0 <= mean <= most
+    assert 0 <= mean <= most < 1e3 * (time.monotonic() - begun_s)
     assert simulator['run'].startswith('run-')
     assert (simulator['last step'], simulator['perception']) == ('20', 'truth')
     assert told['perception']['implementation'] == 'truth'
@@ -142,6 +149,17 @@ def test_ros21_given_a_graph_at_work_then_each_node_tells_how_it_is_doing(tmp_pa
         run(graph, request('run-0', duration=2.0))
     bags = [(tmp_path / how / 'run-0' / 'run-0_0.mcap').read_bytes() for how in ('told', 'untold')]
     assert bags[0] == bags[1], 'who asks how it goes has changed the bag'
+
+
+def test_given_operations_when_looked_at_then_their_number_and_times_are_told():
+    pace = diagnostics.Pace()
+    pace.took(0.002)
+    pace.took(0.004)
+    _, figures = pace.look('frame')
+    assert figures == {
+        'frames': 2, 'frame time, mean [ms]': pytest.approx(3), 'frame time, max [ms]': 4.0,
+    }
+    assert pace.look('frame')[1]['frames'] == 0
 
 
 @pytest.mark.parametrize('timing', [AT_ONCE, free_timing('1')], ids=['lockstep', 'free'])
