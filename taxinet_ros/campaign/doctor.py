@@ -23,7 +23,12 @@ from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
-from taxinet_ros.campaign.record.content import CampaignContent, read_campaign
+from taxinet_ros.campaign.record.content import (
+    MAKERS,
+    CampaignContent,
+    campaign_content,
+    read_campaign,
+)
 from taxinet_ros.campaign.record.facts import ARM, FACTS, is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import (
@@ -170,15 +175,13 @@ def _check_campaign(
     folder: Path, found: Examination, on_bag: Callable[[Path], None]
 ) -> None:
     try:
-        content = read_campaign(folder)
+        content = _checked_tables(folder, found)
     except UsageError as error:
         found.report(folder / RECORD_NAME, error, _RESUME)
         return
-    found.count('runs', len(content.rows))
     arm = content.facts.get(ARM, folder.name)
     if arm != folder.name and (folder.parent / EXPERIMENT_NAME).is_file():
         found.report(folder, f'is arm {arm} of its experiment; was it renamed or exchanged?')
-    _check_tables(folder, content, found)
     for row in content.rows:
         if row.bag:
             on_bag(folder / row.bag)
@@ -186,8 +189,31 @@ def _check_campaign(
     _check_runs(folder, content, found)
 
 
+def _checked_tables(folder: Path, found: Examination) -> CampaignContent:
+    """Content of a campaign, with its tables made again if they do not say what it says.
+
+    Meanwhile no command can write it. The tables of a campaign that is running are not checked.
+    """
+    path = folder / RECORD_NAME
+    try:
+        with Record(path, create=False, makers=MAKERS) as record:
+            content = campaign_content(path, record.entries)
+            _check_tables(folder, content, found)
+            return content
+    except OSError:  # nothing may be written here
+        content = read_campaign(folder)
+        _check_tables(folder, content, found)
+        return content
+    except UsageError:
+        content = read_campaign(folder)
+        found.count('runs', len(content.rows))
+        found.notes.append(f'{folder}: its campaign is running, so its tables are not checked')
+        return content
+
+
 def _check_tables(folder: Path, content: CampaignContent, found: Examination) -> None:
     """Check that the tables agree with the record; make them again if they do not."""
+    found.count('runs', len(content.rows))
     expected = table(content.rows, tuple(content.facts.get('specs', {})))
     wrong = []
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
@@ -203,10 +229,7 @@ def _check_tables(folder: Path, content: CampaignContent, found: Examination) ->
     if not wrong:
         return
     try:
-        with Record(folder / RECORD_NAME, create=False):
-            write_tables(content.rows, folder, content.facts)
-    except UsageError:
-        found.notes.append(f'{folder}: its campaign is running')
+        write_tables(content.rows, folder, content.facts)
     except OSError as error:
         found.report(folder / wrong[0], f'does not say what the record says ({error.strerror})')
     else:
@@ -282,7 +305,7 @@ def _check_runs(folder: Path, content: CampaignContent, found: Examination) -> N
         if bag.name in known or '.broken-' in bag.name:
             continue
         index, verdict = _verdict_of(bag)
-        if index is None or index in content.attempts:
+        if index is None or index in read_campaign(folder).attempts:  # anew: it may be running
             found.notes.append(f'{bag}: a bag without a result in the record{verdict}')
         else:  # the record says before each run that it begins
             found.report(bag, f'is of run {index}{verdict}, which the record does not know: is the '

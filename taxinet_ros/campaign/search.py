@@ -151,6 +151,10 @@ class Search:
             row for index, row in sorted(self.book.rows.items())
             if index not in counted and row.outcome is not Outcome.INTERRUPTED
         ]
+        broken = self.book.difference or self.book.broken_in_a_row >= PATIENCE
+        self.book.complete = len(self.book.rows) >= self._campaign.runs or bool(
+            self.stopped and not self.interrupted and not broken
+        )
         self._opened.__exit__(kind, error, trace)
 
     @property

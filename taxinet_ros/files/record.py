@@ -41,6 +41,7 @@ _SCHEMA = (
 _BUSY_S = 20.0
 _DIGEST_BYTES = 16
 _MOST_BYTES = 1 << 40
+_JOURNAL = bytes.fromhex('d9d505f920a163d7')
 _LOST = 'lost'
 """Kind of the entry of a record that was damaged, until its command has ended in good order."""
 
@@ -151,6 +152,8 @@ class Record:
         connection = self._open()
         number, total = self._total
         with self._in_place(), _named(self._path), _transaction(connection):
+            if _total(connection) != self._total:
+                raise RecordError(f'{self._path}: was changed by another program')
             for kind, key, value in entries:
                 found = connection.execute(
                     'SELECT digest FROM entries WHERE kind = ? AND key = ?', (kind, key)
@@ -212,6 +215,17 @@ def read_entry(path: Path, kind: str, key: str = '') -> Any:
     return json.loads(found[2])
 
 
+def record_kinds(path: Path) -> set[str]:
+    """Kinds of the entries of a record, also where its index is damaged.
+
+    Raises:
+        UsageError: it is damaged or of another version.
+    """
+    with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
+        _check_version(path, connection)
+        return {str(kind) for kind, in connection.execute('SELECT kind FROM entries NOT INDEXED')}
+
+
 def repair_record(path: Path) -> str:
     """Keep what is intact of a damaged record, before its command continues.
 
@@ -231,14 +245,18 @@ def repair_record(path: Path) -> str:
             _read(path)
             return ''
         except UsageError as error:
+            if path.stat().st_size == 0:  # rolled back to before its first entry
+                return ''
             if _is_of_another_version(path):
                 raise
             why = str(error).removeprefix(f'{path}: damaged (').removesuffix(')')
         draft = path.with_name(f'.{path.stem}.part{path.suffix}')
+        Path(f'{draft}-journal').unlink(missing_ok=True)  # of a repair that was killed
         shutil.copyfile(path, draft)
         _lengthen(draft)
         entries = _intact(draft)
         draft.unlink()
+        Path(f'{draft}-journal').unlink(missing_ok=True)
         if not entries:
             raise UsageError(
                 f'{path}: damaged ({why}), and no entry of it can be read; choose another --out'
@@ -281,6 +299,7 @@ def record_trouble(path: Path) -> str:
 
 
 def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    _check_journal(path)
     if mode == 'ro' and os.access(path.parent, os.W_OK) and os.access(path, os.W_OK):
         mode = 'rw'  # so that what a killed command left half written is rolled back
     connection = sqlite3.connect(
@@ -289,6 +308,33 @@ def _connect(path: Path, mode: str) -> sqlite3.Connection:
     )
     connection.execute('PRAGMA synchronous = EXTRA')
     return connection
+
+
+def _check_journal(path: Path) -> None:
+    """Refuse a rollback journal of an earlier state than the file's, such as one copied before it.
+
+    SQLite would undo by it what was recorded since. Both have SQLite's count of changes: the file
+    in its header, the journal in its copy of the first page (SQLite, database file format).
+    """
+    path = path.resolve()
+    try:
+        with path.open('rb') as file:  # first, as a running campaign writes both
+            now = file.read(28)[24:]
+        with open(f'{path}-journal', 'rb') as file:
+            header = file.read(28)
+            sector, page = (int.from_bytes(header[at:at + 4]) for at in (20, 24))
+            file.seek(sector)
+            while len(record := file.read(page + 8)) == page + 8 > 36:
+                if int.from_bytes(record[:4]) == 1:
+                    before = int.from_bytes(record[28:32])
+                    if header[:8] == _JOURNAL and int.from_bytes(now) > before + 1:
+                        raise UsageError(
+                            f'{path}-journal: is of an earlier state than {path.name}; was it '
+                            'copied before it? Delete it'
+                        )
+                    return
+    except FileNotFoundError:
+        return
 
 
 def _begin(connection: sqlite3.Connection) -> None:
@@ -326,9 +372,17 @@ def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 def _read(path: Path, makers: Makers = AS_IT_IS) -> Entries:
     if path.stat().st_size == 0:
-        raise UsageError(f'{path}: is empty; its command was killed as it began')
-    with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
-        return _checked(path, connection, makers)
+        raise UsageError(_EMPTY.format(path))
+    try:
+        with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
+            return _checked(path, connection, makers)
+    except OSError as error:
+        if error.errno != errno.EROFS:
+            raise
+        raise UsageError(
+            f'{path}: a killed command left {path.name}-journal, and nothing may be written here; '
+            'copy the folder to where that is allowed'
+        ) from error
 
 
 def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entries:
@@ -358,6 +412,7 @@ def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entr
 
 
 _ALL = 'SELECT kind, key, value, digest FROM entries'
+_EMPTY = '{}: has no entry; was its command killed as it began, or the file cut?'
 
 
 def _lengthen(path: Path) -> None:
@@ -379,7 +434,7 @@ def _intact(path: Path) -> list[tuple[str, str, str]]:
             rows = connection.execute(f'{_ALL} NOT INDEXED ORDER BY rowid{order}')
             for kind, key, value, digest in rows:
                 if _is_intact(kind, key, value, digest) and kind != _LOST:
-                    found[kind, key] = value
+                    found.setdefault((kind, key), value)
     return [(kind, key, value) for (kind, key), value in sorted(found.items())]
 
 
@@ -391,6 +446,10 @@ def _is_intact(kind: Any, key: Any, value: Any, digest: Any) -> bool:
 def _check_version(path: Path, connection: sqlite3.Connection) -> None:
     application, = connection.execute('PRAGMA application_id').fetchone()
     version, = connection.execute('PRAGMA user_version').fetchone()
+    if (application, version) == (0, 0) and not connection.execute(
+        'SELECT count(*) FROM sqlite_master'
+    ).fetchone()[0]:
+        raise UsageError(_EMPTY.format(path))
     if (application, version) != (_APPLICATION_ID, _VERSION):
         raise UsageError(
             f'{path}: not a record of this version of taxinet_ros (format {version}, expected '
@@ -445,6 +504,7 @@ def _lock(path: Path) -> int:
     SQLite's own locks end with every close of the file in this process, so the folder is locked;
     on NFS, where only files open for writing can be, a file beside the record.
     """
+    path = path.resolve()
     try:
         return _locked(path, path.parent, os.O_RDONLY | os.O_DIRECTORY)
     except OSError:
@@ -471,7 +531,10 @@ def _named(path: Path) -> Iterator[None]:
         yield
     except sqlite3.OperationalError as error:
         name = getattr(error, 'sqlite_errorname', '')
-        codes = {'FULL': errno.ENOSPC, 'READONLY': errno.EROFS, 'CANTOPEN': errno.EACCES}
+        codes = {
+            'FULL': errno.ENOSPC, 'READONLY': errno.EROFS, 'CANTOPEN': errno.EACCES,
+            'BUSY': errno.EBUSY, 'LOCKED': errno.EBUSY,
+        }
         for word, code in codes.items():
             if name.startswith(f'SQLITE_{word}'):
                 raise OSError(code, os.strerror(code), str(path)) from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 import resource
 import signal
 import sqlite3
@@ -16,7 +17,9 @@ import pytest
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.record import (
     Record,
+    read_entry,
     read_record,
+    record_kinds,
     record_trouble,
     repair_record,
     repaired,
@@ -170,6 +173,60 @@ def test_a_repaired_record_has_true_entries_only_and_says_that_some_are_lost(
         assert kept.get('row', {}).items() <= ROWS.items()
         assert kept.get('facts', {'': FACTS}) == {'': FACTS}
     assert repairs > 30
+
+
+def test_a_journal_of_an_earlier_state_is_refused_and_undoes_nothing(tmp_path: Path) -> None:
+    """As a running campaign's is that was copied, and the file once more after its end."""
+    path, copied = make(tmp_path / 'campaign.db'), b''
+    connection = sqlite3.connect(path, isolation_level=None)
+    connection.execute('PRAGMA cache_size = 1')  # so that the journal is on the disk at once
+    connection.execute('BEGIN IMMEDIATE')
+    for row in range(40):
+        connection.execute("INSERT INTO entries VALUES ('row', ?, ?, x'00')", (row, 'x' * 9000))
+    copied = Path(f'{path}-journal').read_bytes()
+    connection.execute('ROLLBACK')
+    connection.close()
+    with Record(path) as record:
+        for index in range(3):
+            record.put('row', f'more {index}', index)
+    assert copied
+    now = path.read_bytes()
+    Path(f'{path}-journal').write_bytes(copied)
+    for attempt in (read_record, Record, record_kinds):
+        with pytest.raises(UsageError, match='-journal: is of an earlier state'):
+            attempt(path)
+    assert path.read_bytes() == now
+    Path(f'{path}-journal').unlink()
+    assert len(read_record(path)['row']) == 43
+
+
+def test_a_change_by_another_program_is_noticed_at_the_next_entry(tmp_path: Path) -> None:
+    path = make(tmp_path / 'campaign.db')
+    with Record(path) as record:
+        connection = sqlite3.connect(path, isolation_level=None)
+        connection.execute('UPDATE total SET number = 7')
+        connection.close()
+        with pytest.raises(RecordError, match='changed by another program'):
+            record.put('row', 'more', 1)
+
+
+def test_entries_behind_a_damaged_index_are_seen(tmp_path: Path) -> None:
+    path = make(tmp_path / 'campaign.db')
+    data, hidden = path.read_bytes(), 0
+    for found in re.finditer(b'facts', data):
+        damaged = bytearray(data)
+        damaged[found.start()] ^= 2
+        path.write_bytes(damaged)
+        try:
+            there = read_entry(path, 'facts')
+        except UsageError:
+            continue
+        if there is None:
+            hidden += 1
+            assert 'facts' in record_kinds(path)
+        else:
+            assert there == FACTS
+    assert hidden
 
 
 def test_lost_and_exchanged_entries_are_found(tmp_path: Path) -> None:

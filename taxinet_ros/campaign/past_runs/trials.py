@@ -284,9 +284,10 @@ class TrialRecord(Generic[_R]):
         if entries and entries.get(SETTINGS, {}).get('') != plain(settings):
             raise UsageError(refusal)
         sittings = entries.get(SITTING, {})
-        if not sittings or sittings[max(sittings)] != made_on:
+        last = max(sittings, default='0')
+        if not sittings or sittings[last] != made_on:
             self._record.put_all([
-                (SETTINGS, '', settings), (SITTING, f'{len(sittings) + 1:04}', made_on)
+                (SETTINGS, '', settings), (SITTING, f'{int(last) + 1:04}', made_on)
             ])
         repaired(self._record)
 

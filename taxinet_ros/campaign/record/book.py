@@ -20,11 +20,9 @@ from typing import Any, Self
 
 from taxinet_ros.campaign.options import AUDIT, CampaignOptions, check_new, make_out
 from taxinet_ros.campaign.record.content import (
-    BEGUN,
     DOCUMENT,
     END,
     MAKERS,
-    ROW,
     CampaignContent,
     campaign_content,
     run_key,
@@ -33,10 +31,12 @@ from taxinet_ros.campaign.record.facts import (
     ARM,
     ARMS,
     AUDIT_PERCENT,
+    BEGUN,
     ENGINE,
     EXTENSIONS,
     FACTS,
     ODD,
+    ROW,
     SPARE,
     STACKS,
     UNTIL,
@@ -50,6 +50,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.campaign.scenes.programs import check_same_files
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES
@@ -151,6 +152,8 @@ class CampaignBook:
         warning: one line if these were made on another machine or version, or ''.
         broken_in_a_row: number of consecutive runs with an infrastructure error.
         difference: line on an audit that found a difference, which ends the campaign; or ''.
+        complete: whether it ended as it was asked to, with all its runs or by a rule, so that
+            nothing of a repaired record is missing any more; set by its owner.
     """
 
     def __init__(
@@ -171,6 +174,7 @@ class CampaignBook:
         self.warning = ''
         self.broken_in_a_row = 0
         self.difference = ''
+        self.complete = False
         self._options = options
         self._out = options.out
         self._participants = tuple(participants)
@@ -237,11 +241,24 @@ class CampaignBook:
             self._record.close()
 
     def _end(self) -> None:
-        """Record that the campaign ended in good order; a repaired record is whole if all are."""
+        """Record that the campaign ended in good order, and what a repaired record had lost."""
         self._write_due_facts()
-        self._record.put_all([(END, '', len(self.rows)), (SPARE, FACTS, self.facts)])
-        if 'shrinks' in self.facts or len(self.rows) >= int(self.facts['runs']):
+        self._record.put_all([
+            *self._lost_documents(), (END, '', len(self.rows)), (SPARE, FACTS, self.facts),
+        ])
+        if self.complete:
             repaired(self._record)
+
+    def _lost_documents(self) -> Iterator[tuple[str, str, Any]]:
+        """Entries of documents that rows refer to and the record lacks, if they are known."""
+        for key, catalogue in CATALOGUES.items():
+            for word in {getattr(row, key) for row in self.rows.values()} - {''}:
+                try:
+                    found = catalogue.find(word)
+                except UsageError:
+                    self.complete = False
+                else:
+                    yield from self._new_document(key, found)
 
     def begin(self, facts: Mapping[str, Any]) -> None:
         """Record the facts of the campaign, before its first run.
@@ -355,10 +372,12 @@ class CampaignBook:
     def _new_documents(self, scenario: Scenario) -> Iterator[tuple[str, str, Any]]:
         """Entries of the documents of a scenario that are neither shipped nor recorded yet."""
         for key, catalogue in CATALOGUES.items():
-            found = catalogue.find(getattr(scenario, key))
-            if not found.shipped and (key, found.reference) not in self._documents:
-                self._documents.add((key, found.reference))
-                yield DOCUMENT, f'{key} {found.reference}', (key, found.document)
+            yield from self._new_document(key, catalogue.find(getattr(scenario, key)))
+
+    def _new_document(self, key: str, found: NamedDocument) -> Iterator[tuple[str, str, Any]]:
+        if not found.shipped and (key, found.reference) not in self._documents:
+            self._documents.add((key, found.reference))
+            yield DOCUMENT, f'{key} {found.reference}', (key, found.document)
 
     def _write_due_facts(self) -> None:
         if not self._facts_due:
@@ -386,7 +405,7 @@ def check_resumable(out: Path) -> None:
         UsageError: there is none.
     """
     path = out / RECORD_NAME
-    if path.is_file():
+    if path.is_file() and path.stat().st_size:
         return
     there = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
     if not there:
@@ -394,8 +413,9 @@ def check_resumable(out: Path) -> None:
             f'--resume: {path}: no such file, so there is nothing to resume; leave --resume out'
         )
     if not there <= _BEFORE_RUNS:
+        what = 'is empty' if path.is_file() else 'no such file'
         raise UsageError(
-            f'--resume: {path}: no such file, so the earlier options are unknown; put it back, or '
+            f'--resume: {path}: {what}, so the earlier options are unknown; put it back, or '
             'choose another --out'
         )
 

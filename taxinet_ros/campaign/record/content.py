@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.record.facts import FACTS, SPARE
+from taxinet_ros.campaign.record.facts import BEGUN, FACTS, ROW, SPARE
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Entries, Makers, read_record
 
-BEGUN, ROW, REQUIREMENT, DOCUMENT, END = 'begun', 'row', 'requirement', 'document', 'end'
-"""Kinds of entries: a run that was started, its result, a formula evaluated afterwards, a document
-that is not shipped, and that the campaign ended in good order after the last result."""
+REQUIREMENT, DOCUMENT, END = 'requirement', 'document', 'end'
+"""Kinds of entries: a formula evaluated afterwards, a document that is not shipped, and that the
+campaign ended in good order after the last result."""
 
 
 def _row(values: Any) -> RunRow:

@@ -17,7 +17,7 @@ from taxinet_ros.core.scenario_fields import by_value
 from taxinet_ros.core.system import System
 from taxinet_ros.core.world import find_world, world_and_camera
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME, read_entry
+from taxinet_ros.files.record import RECORD_NAME, read_entry, record_kinds
 from taxinet_ros.registry import KMWH, WORLDS, find, origins
 from taxinet_ros.version import __version__
 
@@ -27,6 +27,10 @@ FACTS = 'facts'
 SPARE = 'spare'
 """Kind of a second entry with them, as the runs of a damaged record are useless without; it is
 written after the last run, so that no damage of one page affects both."""
+
+BEGUN, ROW = 'begun', 'row'
+"""Kinds of entries: a run that was started, and its result."""
+_OF_A_CAMPAIGN = frozenset({FACTS, SPARE, BEGUN, ROW})
 
 ARMS = 'experiment_arms'
 """The fact that names the folders of all arms of an experiment, including this campaign's."""
@@ -226,7 +230,7 @@ def is_campaign(folder: Path) -> bool:
     if not path.is_file():
         return False
     try:
-        return _facts_of(path) is not None
+        return _facts_of(path) is not None or bool(record_kinds(path) & _OF_A_CAMPAIGN)
     except UsageError:
         return True
 

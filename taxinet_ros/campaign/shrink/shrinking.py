@@ -93,6 +93,7 @@ class Shrinking:
         trace: TracebackType | None,
     ) -> None:
         """Write the table of the rows so far, even after an error."""
+        self.book.complete = not self.interrupted and self.search.state.end is not End.NOT_YET
         self.book.__exit__(kind, error, trace)
 
     def next(self) -> RunRequest | None:
@@ -165,7 +166,8 @@ class Shrinking:
         self._next = 1 + max(known, default=-1)
         self._earlier = {_scene(row): row for row in content.rows if row.outcome.judged}
         undone = [row for row in content.rows if not row.outcome.judged]
-        self._undone = sorted([*content.unfinished, *(row.index for row in undone)])
+        judged = {row.index for row in content.rows if row.outcome.judged}
+        self._undone = sorted(set(range(self._next)) - judged)
         self._broken_before = {
             _scene(row): row.retries + (row.outcome is Outcome.INFRA_ERROR) for row in undone
         }

@@ -109,12 +109,7 @@ def a_row_is_lost(path: Path) -> None:
     connection.close()
 
 
-def emptied(path: Path) -> None:
-    path.write_bytes(b'')
-
-
-@pytest.mark.parametrize(
-    'damage', [a_bit_of_a_row, a_page_of_zeros, cut, a_row_is_lost, emptied])
+@pytest.mark.parametrize('damage', [a_bit_of_a_row, a_page_of_zeros, cut, a_row_is_lost])
 def test_given_a_damaged_record_then_readers_refuse_it_and_resumed_it_is_as_before(
     campaign, taxinet, tmp_path, damage
 ):
@@ -131,12 +126,19 @@ def test_given_a_damaged_record_then_readers_refuse_it_and_resumed_it_is_as_befo
     assert path.read_bytes() == data
     code, _, err = taxinet(*SEARCH, *TIGHT, '--runs', RUNS, '--out', campaign, '--resume')
     assert code == 1, err
-    if data:
-        assert f'kept as {RECORD_NAME}.damaged-1' in err
-        assert path.with_name(f'{RECORD_NAME}.damaged-1').read_bytes() == data
+    assert f'kept as {RECORD_NAME}.damaged-1' in err
+    assert path.with_name(f'{RECORD_NAME}.damaged-1').read_bytes() == data
     pd.testing.assert_frame_equal(without_clock(read_table(campaign)), before)
     code, out, _ = taxinet('doctor', campaign)
     assert code == 0, out
+
+
+def test_given_an_emptied_record_then_nothing_is_begun_anew_over_its_bags(campaign, taxinet):
+    (campaign / RECORD_NAME).write_bytes(b'')
+    before = sorted(path.name for path in campaign.iterdir())
+    code, _, err = taxinet(*SEARCH, *TIGHT, '--runs', RUNS, '--out', campaign, '--resume')
+    assert (code, 'is empty, so the earlier options are unknown' in err) == (2, True), err
+    assert sorted(path.name for path in campaign.iterdir()) == before
 
 
 @pytest.mark.parametrize(('name', 'make'), [
