@@ -98,7 +98,7 @@ def test_given_an_interrupt_then_what_is_written_stays_and_the_exit_code_is_130(
     images = [path for path in (out / 'images').iterdir() if not path.name.startswith('.')]
     assert 3 <= len(images) < 2000
     assert all(path.read_bytes().endswith(b'IEND\xaeB`\x82') for path in images)
-    assert (out / 'finished.jsonl').exists()
+    assert (out / 'progress.db').exists()
     assert not (out / 'dataset.json').exists()
 
 

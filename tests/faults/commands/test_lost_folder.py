@@ -59,7 +59,8 @@ def test_f9_given_a_record_that_is_taken_away_then_the_campaign_ends_and_tells_w
     assert lines[-1].startswith('known until then: ')
     assert not any(line.startswith(('table:', 'under the program')) for line in lines)
     kept = read_campaign(tmp_path / 'moved').rows
-    assert len(kept) >= len(shown)
+    # The run that noticed it is shown, as nothing can be written any more where its record was.
+    assert len(kept) >= len(shown) - 1
     if act is moved:
         assert not (tmp_path / 'c').exists(), 'nothing is begun in its place'
     assert not list((tmp_path / 'c').glob('*.*'))
