@@ -10,6 +10,7 @@ or missing otherwise is made again by ``--resume``.
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from taxinet_ros.bag.check.findings import Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.campaign.experiment import JSON_NAME as EXPERIMENT_NAME
 from taxinet_ros.campaign.options import AUDIT_FOLDER
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
 from taxinet_ros.campaign.record.content import (
@@ -28,8 +30,9 @@ from taxinet_ros.campaign.record.content import (
     CampaignContent,
     campaign_content,
     read_campaign,
+    run_key,
 )
-from taxinet_ros.campaign.record.facts import ARM, FACTS, is_campaign
+from taxinet_ros.campaign.record.facts import ARM, BEGUN, FACTS, is_campaign
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import (
     CSV_NAME,
@@ -45,7 +48,6 @@ from taxinet_ros.files.record import RECORD_NAME, Record, read_entry, read_recor
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
-EXPERIMENT_NAME = 'experiment.json'
 _DATASET, _PROGRESS = 'dataset.json', 'progress.db'
 _STAGE = 'stage'
 _RESUME = 'the command that made it, with --resume if it has that'
@@ -194,26 +196,26 @@ def _checked_tables(folder: Path, found: Examination) -> CampaignContent:
 
     Meanwhile no command can write it. The tables of a campaign that is running are not checked.
     """
-    path = folder / RECORD_NAME
-    try:
-        with Record(path, create=False, makers=MAKERS) as record:
+    path, running = folder / RECORD_NAME, False
+    with contextlib.ExitStack() as opened:
+        try:
+            record = opened.enter_context(Record(path, create=False, makers=MAKERS))
+        except OSError:  # nothing may be written here
+            content = read_campaign(folder)
+        except UsageError:
+            content, running = read_campaign(folder), True
+        else:
             content = campaign_content(path, record.entries)
-            _check_tables(folder, content, found)
-            return content
-    except OSError:  # nothing may be written here
-        content = read_campaign(folder)
-        _check_tables(folder, content, found)
-        return content
-    except UsageError:
-        content = read_campaign(folder)
         found.count('runs', len(content.rows))
-        found.notes.append(f'{folder}: its campaign is running, so its tables are not checked')
-        return content
+        if running:
+            found.notes.append(f'{folder}: its campaign is running, so its tables are not checked')
+        else:
+            _check_tables(folder, content, found)
+    return content
 
 
 def _check_tables(folder: Path, content: CampaignContent, found: Examination) -> None:
     """Check that the tables agree with the record; make them again if they do not."""
-    found.count('runs', len(content.rows))
     expected = table(content.rows, tuple(content.facts.get('specs', {})))
     wrong = []
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
@@ -305,7 +307,8 @@ def _check_runs(folder: Path, content: CampaignContent, found: Examination) -> N
         if bag.name in known or '.broken-' in bag.name:
             continue
         index, verdict = _verdict_of(bag)
-        if index is None or index in read_campaign(folder).attempts:  # anew: it may be running
+        begun = None if index is None else read_entry(folder / RECORD_NAME, BEGUN, run_key(index))
+        if index is None or begun is not None:  # read anew: the campaign may be running
             found.notes.append(f'{bag}: a bag without a result in the record{verdict}')
         else:  # the record says before each run that it begins
             found.report(bag, f'is of run {index}{verdict}, which the record does not know: is the '

@@ -230,7 +230,8 @@ def repair_record(path: Path) -> str:
     """Keep what is intact of a damaged record, before its command continues.
 
     The damaged file is kept as a copy. :func:`read_record` refuses the new one until
-    :func:`repaired` is called, as entries may be missing.
+    :func:`repaired` is called, as entries may be missing. A file that is not there, or has nothing
+    in it, needs no repair.
 
     Returns:
         A line on what was damaged, or ''.
@@ -239,6 +240,8 @@ def repair_record(path: Path) -> str:
         UsageError: another command writes it, or nothing of it can be read.
         OSError: a file cannot be read or written.
     """
+    if not path.is_file() or path.stat().st_size == 0:
+        return ''
     lock = _lock(path)
     try:
         try:

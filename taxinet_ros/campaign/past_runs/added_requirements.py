@@ -47,9 +47,8 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
     """
     if not is_campaign(folder):
         raise UsageError(f'--add: {folder / RECORD_NAME}: no such file; not a campaign')
-    read_campaign(folder)
-    with _opened(folder) as record:
-        content = campaign_content(record.path, record.entries)
+    content = read_campaign(folder)
+    _opened(folder).close()
     own = _own_formulas(content)
     chosen = list(specs)
     for spec in chosen:
@@ -93,7 +92,9 @@ def add_requirements(
             for spec in specs
         }
         record.put_all((REQUIREMENT, name, values) for name, values in entries.items())
-        write_tables(read_campaign(folder).rows, folder, content.facts)
+        added = {**record.entries.get(REQUIREMENT, {}), **entries}
+        now = campaign_content(record.path, {**record.entries, REQUIREMENT: added})
+        write_tables(now.rows, folder, now.facts)
     return {name: len(values['intervals']) for name, values in entries.items()}
 
 

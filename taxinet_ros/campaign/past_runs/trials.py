@@ -266,7 +266,7 @@ class TrialRecord(Generic[_R]):
         make_out(out)
         path = out / RECORD_NAME
         try:
-            damaged = repair_record(path) if path.exists() and path.stat().st_size else ''
+            damaged = repair_record(path)
             self._record = Record(path)
         except OSError as error:
             raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error

@@ -207,7 +207,7 @@ class CampaignBook:
         self.check_folder()
         make_out(self._out)
         path = self._out / RECORD_NAME
-        if path.is_file() and path.stat().st_size and (why := repair_record(path)):
+        if why := repair_record(path):
             warn_once(f'{why}; add requirements of taxinet monitor --add that are lost again')
         self._record = Record(path, makers=MAKERS)
         try:

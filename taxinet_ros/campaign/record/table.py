@@ -134,9 +134,10 @@ def read_table(path: Path) -> pd.DataFrame:
         path = path / PARQUET_NAME
     if not path.is_file():
         raise UsageError(f'{path}: no such table; is {path.parent} a campaign?')
-    if not is_sealed_table(path, path.read_bytes()):
+    data = path.read_bytes()
+    if not is_sealed_table(path, data):
         warn_once(f'{path}: is unverified, since it has no checksum')
-    frame = read_any_table(path)
+    frame = _frame_of(path, data)
     _check_rows(path, frame)
     return frame
 
@@ -147,16 +148,21 @@ def read_any_table(path: Path) -> pd.DataFrame:
     Raises:
         UsageError: it is damaged, or differs from the checksum in it.
     """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _damaged(path, error) from error
+    is_sealed_table(path, data)
+    return _frame_of(path, data)
+
+
+def _frame_of(path: Path, data: bytes) -> pd.DataFrame:
     import pyarrow.parquet
 
     try:
-        data = path.read_bytes()
-        is_sealed_table(path, data)
         columns = pyarrow.parquet.read_table(pyarrow.BufferReader(data))
         columns.validate(full=True)  # such as invalid UTF-8
         frame = columns.to_pandas()
-    except UsageError:
-        raise
     except Exception as error:  # third-party reader on untrusted bytes
         raise _damaged(path, error) from error
     names = [str(name) for name in frame.columns]

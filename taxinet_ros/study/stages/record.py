@@ -14,6 +14,7 @@ from taxinet_ros.core.provenance import Provenance, begun_elsewhere, provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import (
     RECORD_NAME,
+    Entries,
     Record,
     read_record,
     repair_record,
@@ -96,12 +97,12 @@ def open_study(out: Path, show: Callable[[str], None]) -> Iterator[Record]:
         UsageError: another command has it open, or it cannot be read.
     """
     path = out / RECORD_NAME
-    if path.is_file() and (line := repair_record(path)):
+    if line := repair_record(path):
         show(line)
     with Record(path) as record:
         if record.entries.keys() & {STAGE, OPTIONS}:
             repaired(record)
-            if warning := stack_warning(read_stages(out)):
+            if warning := stack_warning(_stages_of(record.entries)):
                 show(warning)
         yield record
 
@@ -119,10 +120,13 @@ def read_stages(out: Path) -> dict[str, StageRecord]:
         UsageError: the record is damaged.
     """
     path = out / RECORD_NAME
-    found = read_record(path).get(STAGE, {}) if path.exists() else {}
+    return _stages_of(read_record(path)) if path.exists() else {}
+
+
+def _stages_of(entries: Entries) -> dict[str, StageRecord]:
     return {
         name: StageRecord(**{**values, 'stacks': tuple(values['stacks'])})
-        for name, values in found.items()
+        for name, values in entries.get(STAGE, {}).items()
     }
 
 

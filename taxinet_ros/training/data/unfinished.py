@@ -69,7 +69,7 @@ class Unfinished:
                 '--resume out'
             )
         try:
-            if is_begun(folder) and (damaged := repair_record(path)):
+            if damaged := repair_record(path):
                 warn_once(damaged)
             self._record = Record(path)
         except OSError as error:
