@@ -5,18 +5,18 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 
 from processes import TAXINET, VERDICTS, Amounts
 
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.processes.child import ChildProcess, package_environment
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.facts import is_campaign
 
 WORKERS = (1, 2)
 RUNS = 8
@@ -75,8 +75,9 @@ def _watch(process: ChildProcess, folder: Path) -> list[int]:
     while not ended:
         ended = process.dead
         if is_campaign(folder):
-            results = len(read_campaign(folder).rows)
-            stamps += [time.perf_counter_ns()] * (results - len(stamps))
+            with suppress(UsageError):  # just created, nothing in it yet
+                results = len(read_campaign(folder).rows)
+                stamps += [time.perf_counter_ns()] * (results - len(stamps))
         if time.monotonic() > deadline:
             raise InfraError(
                 InfraKind.TIMEOUT, process.name, -1, f'not done after {_LIMIT_S:g} s'

@@ -22,9 +22,9 @@ import pandas as pd
 from taxinet_ros.analysis.causes.causes import find_causes
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import Floats
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
-from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.core.scenario_fields import CLOUDS
+from taxinet_ros.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.samplers.space import Dimension
 
 SPACE = (
     Dimension(name='time_of_day_h'), Dimension(name='clouds', weights=(1.0,) * 6),

@@ -10,9 +10,6 @@ from functools import partial
 from taxinet_ros import registry
 from taxinet_ros.bench.measure import Subject
 from taxinet_ros.bench.subjects import SCENES
-from taxinet_ros.campaign.samplers.registry import make_sampler
-from taxinet_ros.campaign.samplers.sampler import Lagged
-from taxinet_ros.campaign.samplers.space import Dimension, Point
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import ground_atlas, make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import standard_style
@@ -24,6 +21,9 @@ from taxinet_ros.core.perception.weights import SHIPPED, load_model
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+from taxinet_ros.samplers.registry import make_sampler
+from taxinet_ros.samplers.sampler import Lagged
+from taxinet_ros.samplers.space import Dimension, Point
 
 
 def camera_subjects() -> list[Subject]:

@@ -21,7 +21,7 @@ from seeded_faults import KINDS, ROOMS, Fault, Function, Source, sources, write_
 
 from taxinet_ros.errors import ExitCode
 
-_LEFT_OUT = ('campaign/record/', 'campaign/doctor.py', 'files/journal.py')
+_LEFT_OUT = ('trials/record/', 'trials/doctor.py', 'files/journal.py')
 _UNITS = {1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 3.6, 60, 0.3048, 180.0}
 _UNIT_NAME = re.compile(r'_PER_|_S_PER|NS$')
 _ANGLES = {'radians', 'degrees', 'deg2rad', 'rad2deg'}

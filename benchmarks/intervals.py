@@ -20,10 +20,10 @@ from rich.console import Console
 
 from taxinet_ros.analysis.gate import bounds
 from taxinet_ros.bench.measure import machine_facts
-from taxinet_ros.campaign.rates import ProgramRate
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, drawn_share, make_sampler
-from taxinet_ros.campaign.samplers.space import Dimension, Point
 from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.samplers.registry import SAMPLERS, drawn_share, make_sampler
+from taxinet_ros.samplers.space import Dimension, Point
+from taxinet_ros.trials.rates import ProgramRate
 
 RUNS = (100, 400, 1000)
 RATES = (0.5, 0.1, 0.01, 0.001)

@@ -25,11 +25,11 @@ import numpy.typing as npt
 from rich.console import Console
 
 from taxinet_ros.bench.measure import machine_facts
-from taxinet_ros.campaign.rates import rate
-from taxinet_ros.campaign.samplers.sampler import Exhausted
-from taxinet_ros.campaign.samplers.space import Dimension, Space
-from taxinet_ros.campaign.samplers.splitting import WIDE, make_splitting, particles_for
 from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.samplers.sampler import Exhausted
+from taxinet_ros.samplers.space import Dimension, Space
+from taxinet_ros.samplers.splitting import WIDE, make_splitting, particles_for
+from taxinet_ros.trials.rates import rate
 
 Floats = npt.NDArray[np.float64]
 

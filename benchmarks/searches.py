@@ -24,10 +24,10 @@ from rich.console import Console
 
 from taxinet_ros import registry
 from taxinet_ros.bench.measure import machine_facts
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
-from taxinet_ros.campaign.samplers.sampler import LAG
-from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, alike
 from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.samplers.sampler import LAG
+from taxinet_ros.samplers.space import Branch, Dimension, Point, Space, alike
 
 APART = 0.15
 """Two failures are distinct if a coordinate differs by more than this [quantiles]."""

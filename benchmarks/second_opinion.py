@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from taxinet_ros.campaign.options import read_settings
 from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.trials.options import read_settings
 
 OTHERS = {'mitsuba': 'Mitsuba', 'flightgear': 'FlightGear'}
 """Renderers, and their names in figures."""

@@ -34,8 +34,8 @@ HERE = Path(__file__).resolve().parent
 FAULTS = HERE / 'seeded_faults.jsonl'
 PACKAGE = 'taxinet_ros'
 ROOMS: Mapping[str, Sequence[str]] = {
-    'core': ('core',), 'campaign': ('campaign', 'files', 'api'), 'bag': ('bag',),
-    'nodes': ('nodes',), 'analysis': ('analysis',),
+    'core': ('core',), 'campaign': ('trials', 'scenes', 'samplers', 'files', 'api'),
+    'bag': ('bag',), 'nodes': ('nodes',), 'analysis': ('analysis',),
 }
 """Folders of the package whose functions are changed."""
 

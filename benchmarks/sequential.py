@@ -18,8 +18,8 @@ import numpy as np
 from rich.console import Console
 
 from taxinet_ros.bench.measure import machine_facts
-from taxinet_ros.campaign.sample_size import plan_with_power
-from taxinet_ros.campaign.sequential import (
+from taxinet_ros.trials.sample_size import plan_with_power
+from taxinet_ros.trials.sequential import (
     MIN_SATISFACTION,
     Decision,
     SequentialTest,

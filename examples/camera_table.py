@@ -5,7 +5,7 @@ import random
 import sys
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.rates import rate
+from taxinet_ros.trials.rates import rate
 
 RUNS = int(sys.argv[1]) if sys.argv[1:] and sys.argv[1].isdigit() else 1
 RIGS = (('wing', 'caravan'), ('nose', 'caravan'), ('wing', 'c172p'), ('strut', 'c172p'))

@@ -4,9 +4,9 @@ import random
 import sys
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.rates import rate
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import BY_KEY, DRAWN_FAULTS
+from taxinet_ros.trials.rates import rate
 
 RUNS = int(sys.argv[1]) if sys.argv[1:] and sys.argv[1].isdigit() else 1
 FAULTS = {'fault_onset_s': (0,), 'camera_dropout_percent': (20, 50), 'camera_freeze_s': (3,)}

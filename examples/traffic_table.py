@@ -5,7 +5,7 @@ import random
 import sys
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.rates import rate
+from taxinet_ros.trials.rates import rate
 
 AHEAD = {  # its kind, and where it is left of the centreline [m]
     'nobody near': ('cone', 999), 'a cone': ('cone', 5), 'a person': ('person', 7),

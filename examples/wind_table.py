@@ -5,7 +5,7 @@ import random
 import sys
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.rates import rate
+from taxinet_ros.trials.rates import rate
 
 WINDS_MPS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 RUNS, SPEED_MPS = map(float, sys.argv[1:3] if sys.argv[2:] else ('1', '5'))

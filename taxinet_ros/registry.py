@@ -56,7 +56,7 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         **_constants('taxinet_ros.core.perception.weights', _NETWORKS),
     },
     CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
-    SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
+    SAMPLERS: _constants('taxinet_ros.samplers.registry', _SAMPLERS),
     WORLDS: {
         KMWH: 'taxinet_ros.core.world:SimulatedWorld',
         'xplane': 'taxinet_ros.extras.xplane.world:XPlaneWorld',

@@ -29,8 +29,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
-from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -45,6 +43,8 @@ from taxinet_ros.core.verdict.judge import check_specs
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import KMWH
+from taxinet_ros.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.samplers.space import Branch, Dimension, Point, Space
 
 MOST_CTE_M = 100.0
 """Cross-track error [m] above which an estimate is assumed to be in a wrong unit."""

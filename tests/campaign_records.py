@@ -6,7 +6,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.record.content import (
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.trials.record.content import (
     BEGUN,
     END,
     REQUIREMENT,
@@ -14,11 +16,9 @@ from taxinet_ros.campaign.record.content import (
     read_campaign,
     run_key,
 )
-from taxinet_ros.campaign.record.facts import FACTS, is_campaign
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME, write_tables
-from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.trials.record.facts import FACTS, is_campaign
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME, write_tables
 
 
 def write_campaign(

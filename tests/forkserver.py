@@ -45,7 +45,7 @@ _SPAWNED = 'from multiprocessing.spawn import spawn_main;'
 FORKED = '# forked\n'
 """First line of other code that a fork may run."""
 _ALONE = (
-    'taxinet_ros.cli.start', 'taxinet_ros.campaign.scenes.scenic_child',
+    'taxinet_ros.cli.start', 'taxinet_ros.scenes.scenic_child',
     'taxinet_ros.core.perception.onnx.trial',
 )
 """Modules that start no further processes."""

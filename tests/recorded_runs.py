@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.record.content import BEGUN, END, ROW, run_key
-from taxinet_ros.campaign.record.facts import FACTS
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.trials.record.content import BEGUN, END, ROW, run_key
+from taxinet_ros.trials.record.facts import FACTS
+from taxinet_ros.trials.record.row import RunRow
 
 
 def record_runs(folder: Path, facts: Mapping[str, Any], rows: Iterable[RunRow]) -> None:

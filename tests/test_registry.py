@@ -13,9 +13,6 @@ from plugins import lay_down
 
 import taxinet_ros as tx
 from taxinet_ros import registry
-from taxinet_ros.campaign.options import read_specs
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
-from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.core.motion.controller import check_controller, make_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import check_perception, make_perception
@@ -24,6 +21,9 @@ from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.samplers.space import Dimension
+from taxinet_ros.trials.options import read_specs
 
 TRUTH = TrackingError(cte_m=1.0, he_rad=0.1)
 
@@ -331,7 +331,7 @@ def test_given_samplers_of_packages_when_they_fail_then_one_line_says_whose_they
     site: Path,
 ) -> None:
     code = """
-from taxinet_ros.campaign.samplers.registry import SamplerKind
+from taxinet_ros.samplers.registry import SamplerKind
 
 class Wrong:
     def ask(self):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.campaign.record.facts import read_facts
+from taxinet_ros.trials.record.facts import read_facts
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 PLUGIN = REPOSITORY / 'examples' / 'plugin'
@@ -131,7 +131,7 @@ def test_given_the_sample_when_a_run_is_made_in_its_world_then_its_frames_are_of
     site: Path, tmp_path: Path
 ) -> None:
     code = """
-from taxinet_ros.campaign.record.facts import read_facts
+from taxinet_ros.trials.record.facts import read_facts
 import taxinet_ros as tx
 scene = tx.Scenario(cross_track_m=2.0, duration_s=1.0)
 here, there = (tx.run(scene, specs="gentle", world=world) for world in ("kmwh", "bicycle"))

@@ -162,7 +162,7 @@ SAMPLERS = {
 
 def test_given_a_sampler_that_learns_but_says_not_when_checked_then_it_is_told(site: Path) -> None:
     code = """
-from taxinet_ros.campaign.samplers.registry import MAB, SamplerKind
+from taxinet_ros.samplers.registry import MAB, SamplerKind
 
 LEARNS = SamplerKind(meaning='x', make=MAB.make, options=MAB.options, learns=False)
 """
@@ -175,7 +175,7 @@ LEARNS = SamplerKind(meaning='x', make=MAB.make, options=MAB.options, learns=Fal
 def test_given_a_wrong_sampler_when_checked_then_it_is_told_how(case: str, site: Path) -> None:
     body, said = SAMPLERS[case]
     code = f"""
-from taxinet_ros.campaign.samplers.registry import SamplerKind
+from taxinet_ros.samplers.registry import SamplerKind
 
 class Wrong:
     def __init__(self, space):

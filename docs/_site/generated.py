@@ -17,14 +17,14 @@ import typer
 import taxinet_ros as tx
 from taxinet_ros import errors
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
-from taxinet_ros.campaign.record.row import ON_DISK, RunRow
-from taxinet_ros.campaign.record.table import table
 from taxinet_ros.cli.help import EXAMPLES
 from taxinet_ros.cli.main import app
 from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.core import topics
 from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, Kind, ScenarioField
 from taxinet_ros.nodes.running.parameters import Parameter
+from taxinet_ros.trials.record.row import ON_DISK, RunRow
+from taxinet_ros.trials.record.table import table
 
 ROOT = Path(__file__).resolve().parents[2]
 LIVE_MONITOR = 'taxinet_ros.extras.live_monitor.node'

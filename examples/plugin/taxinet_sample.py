@@ -13,11 +13,11 @@ import numpy as np
 import typer
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.samplers.registry import proposer_kind
-from taxinet_ros.campaign.samplers.sampler import Option
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.control_step import Observation, last_step
 from taxinet_ros.core.types import AircraftState
+from taxinet_ros.samplers.registry import proposer_kind
+from taxinet_ros.samplers.sampler import Option
 
 STEP_S, STEP_NS = 0.1, 100_000_000
 METRES_PER_PIXEL, RAD_PER_PIXEL = 0.04, 0.004

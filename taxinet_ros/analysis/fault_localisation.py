@@ -30,16 +30,16 @@ from taxinet_ros.analysis.report.parts import (
 )
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.bag.layout import holds_bag
-from taxinet_ros.campaign.past_runs.localisation import Trials
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.past_runs.trials import Trial
-from taxinet_ros.campaign.rates import Rate, rate
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import PAPER_FIELDS
 from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_table import write_table
+from taxinet_ros.trials.past_runs.localisation import Trials
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.trials.past_runs.trials import Trial
+from taxinet_ros.trials.rates import Rate, rate
+from taxinet_ros.trials.record.row import RunRow
 
 
 class Blame(enum.StrEnum):

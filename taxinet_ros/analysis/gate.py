@@ -10,11 +10,11 @@ each; the gate passes if all do and fails if any does.
 By default that probability covers all looks at a campaign together, so it may be monitored while
 running, and an inconclusive one may be extended. Half of it is spent on the look at the number of
 runs planned before the first one, with exact binomial bounds; the other half on all other looks,
-with bounds valid at any number of runs. :mod:`taxinet_ros.campaign.rates` defines both, and which
+with bounds valid at any number of runs. :mod:`taxinet_ros.trials.rates` defines both, and which
 runs count.
 ``Look.PLANNED`` spends all of it on the planned number of runs, and says nothing at any other;
 ``Look.SEQUENTIAL`` follows the runs in their order and stands by the first decision of a sequential
-test (:mod:`taxinet_ros.campaign.sequential`), which ``falsify --until`` may have stopped at.
+test (:mod:`taxinet_ros.trials.sequential`), which ``falsify --until`` may have stopped at.
 
 The JUnit format is that of Ant's reports as read by Jenkins, GitLab and others: a ``testsuite``
 with ``properties`` and ``testcase`` elements; a test case with a ``failure`` or ``skipped`` child
@@ -34,7 +34,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-from taxinet_ros.campaign.rates import (
+from taxinet_ros.core.pacing.timing import parse_timing
+from taxinet_ros.core.provenance import words
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.rates import (
     CONFIDENCE,
     Planned,
     ProgramRate,
@@ -45,10 +49,10 @@ from taxinet_ros.campaign.rates import (
     rate_of,
     share_bounds,
 )
-from taxinet_ros.campaign.record.facts import recorded_stacks
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.campaign.sequential import (
+from taxinet_ros.trials.record.facts import recorded_stacks
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.run_command import RunSettings
+from taxinet_ros.trials.sequential import (
     MAX_OFF_RUNWAY,
     MIN_SATISFACTION,
     Course,
@@ -57,10 +61,6 @@ from taxinet_ros.campaign.sequential import (
     course,
     sequential_test,
 )
-from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.provenance import words
-from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import UsageError
 
 _SATISFIED = 'satisfied'
 MOST_RUNS = 10**7

@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from taxinet_ros.campaign.options import DEFAULT_JUDGING
-from taxinet_ros.campaign.past_runs.shared_scenes import Scene, scenes_of_program
-from taxinet_ros.campaign.past_runs.trials import Task, Trial, TrialSystem, run_trials
-from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.trials.options import DEFAULT_JUDGING
+from taxinet_ros.trials.past_runs.shared_scenes import Scene, scenes_of_program
+from taxinet_ros.trials.past_runs.trials import Task, Trial, TrialSystem, run_trials
+from taxinet_ros.trials.run_command import RunSettings
 
 PROGRAM, SEED, SCENES = 's_falsif', 50, 50
 MOST_SHOWN = 5

@@ -1,7 +1,7 @@
 """Plan a campaign for a claim: how many runs, from the start or after those there are.
 
-The numbers are those of :mod:`taxinet_ros.campaign.sample_size` (a fixed number, or more after a
-look) and :mod:`taxinet_ros.campaign.sequential` (a test that stops by itself). Further runs are
+The numbers are those of :mod:`taxinet_ros.trials.sample_size` (a fixed number, or more after a
+look) and :mod:`taxinet_ros.trials.sequential` (a test that stops by itself). Further runs are
 those that ``gate`` takes, which spends half of its error on looks after the planned one.
 """
 
@@ -11,9 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.rates import CONFIDENCE, ProgramRate, rate_of
-from taxinet_ros.campaign.sample_size import (
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.trials.rates import CONFIDENCE, ProgramRate, rate_of
+from taxinet_ros.trials.sample_size import (
     MOST_FURTHER,
     Plan,
     chance,
@@ -23,7 +25,7 @@ from taxinet_ros.campaign.sample_size import (
     further_runs,
     plan_with_power,
 )
-from taxinet_ros.campaign.sequential import (
+from taxinet_ros.trials.sequential import (
     MAX_OFF_RUNWAY,
     MIN_SATISFACTION,
     Operating,
@@ -31,8 +33,6 @@ from taxinet_ros.campaign.sequential import (
     operating,
     sequential_test,
 )
-from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import UsageError
 
 _SHOWN_FAILURES = 3
 _MOST_SEQUENTIAL = 50_000

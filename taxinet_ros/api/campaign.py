@@ -13,14 +13,14 @@ from taxinet_ros.arguments import PATH, takes
 from taxinet_ros.bag.layout import STORAGE_ID, holds_bag
 from taxinet_ros.bag.run import recording
 from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.campaign.past_runs import recorded_campaign
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.rates import ProgramRate
-from taxinet_ros.campaign.record.facts import is_campaign
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.past_runs import recorded_campaign
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.trials.rates import ProgramRate
+from taxinet_ros.trials.record.facts import is_campaign
+from taxinet_ros.trials.record.row import RunRow
 
 if TYPE_CHECKING:
     import pandas as pd

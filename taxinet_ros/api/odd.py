@@ -9,8 +9,8 @@ from pathlib import Path
 from taxinet_ros.analysis.odd import coverage
 from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
 from taxinet_ros.arguments import FINITE, NONE, PATH, WORD, Kind, takes
-from taxinet_ros.campaign.odd.odd_file import find_odd, read_odd
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.odd.odd_file import find_odd, read_odd
 
 _PATHS = PATH | Kind('a list of paths', lambda value: isinstance(value, list | tuple) and bool(
     value) and all(PATH.has(one) for one in value))

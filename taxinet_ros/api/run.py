@@ -41,7 +41,6 @@ from taxinet_ros.arguments import (
     told,
 )
 from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, node_words, write_run
-from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
 from taxinet_ros.core import topics
 from taxinet_ros.core.assurance.switch import Assured, make_controller
 from taxinet_ros.core.camera.camera import Camera
@@ -89,6 +88,7 @@ from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH
+from taxinet_ros.trials.options import DEFAULT_SPECS, read_specs
 
 if TYPE_CHECKING:
     import pandas as pd

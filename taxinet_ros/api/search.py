@@ -27,24 +27,24 @@ from taxinet_ros.arguments import (
     says_parameters,
     takes,
 )
-from taxinet_ros.campaign.campaign import exit_code
-from taxinet_ros.campaign.cluster.connection import Cluster
-from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.campaign.loop_run import campaign_loop
-from taxinet_ros.campaign.loop_worker import loop_worker_command
-from taxinet_ros.campaign.options import DEFAULT_SPECS, LOOP, make_options
-from taxinet_ros.campaign.record.facts import recorded_system
-from taxinet_ros.campaign.samplers.sampler import LAG
-from taxinet_ros.campaign.samplers.splitting import RareEstimate
-from taxinet_ros.campaign.search import Search
-from taxinet_ros.campaign.search_options import make_estimate_options, make_search_options
-from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
+from taxinet_ros.samplers.sampler import LAG
+from taxinet_ros.samplers.splitting import RareEstimate
+from taxinet_ros.trials.campaign import exit_code
+from taxinet_ros.trials.cluster.connection import Cluster
+from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
+from taxinet_ros.trials.loop_run import campaign_loop
+from taxinet_ros.trials.loop_worker import loop_worker_command
+from taxinet_ros.trials.options import DEFAULT_SPECS, LOOP, make_options
+from taxinet_ros.trials.record.facts import recorded_system
+from taxinet_ros.trials.search import Search
+from taxinet_ros.trials.search_options import make_estimate_options, make_search_options
+from taxinet_ros.trials.worker_pool import WorkerPool, run_search
 
 
 @takes(

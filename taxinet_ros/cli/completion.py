@@ -33,21 +33,21 @@ Completer = Callable[[str], list[str]]
 
 def complete_program(incomplete: str) -> list[str]:
     """Shipped programs that begin so; the shell itself completes names of files."""
-    from taxinet_ros.campaign.scenes.programs import known_programs
+    from taxinet_ros.scenes.programs import known_programs
 
     return _begin(known_programs(), incomplete)
 
 
 def complete_experiment(incomplete: str) -> list[str]:
     """Shipped experiments that begin so."""
-    from taxinet_ros.campaign.experiment import known_experiments
+    from taxinet_ros.trials.experiment import known_experiments
 
     return _begin(known_experiments(), incomplete)
 
 
 def complete_odd(incomplete: str) -> list[str]:
     """Shipped operational design domains that begin so."""
-    from taxinet_ros.campaign.odd.odd_file import known_odds
+    from taxinet_ros.trials.odd.odd_file import known_odds
 
     return _begin(known_odds(), incomplete)
 
@@ -67,7 +67,7 @@ def complete_fallback(incomplete: str) -> list[str]:
 
 def complete_sampler_option(context: typer.Context, incomplete: str) -> list[str]:
     """Options of the sampler that is named before, else of any, with ``=``."""
-    from taxinet_ros.campaign.samplers.registry import SAMPLERS as BY_NAME
+    from taxinet_ros.samplers.registry import SAMPLERS as BY_NAME
 
     chosen = str(context.params.get('sampler'))
     kinds = [BY_NAME[chosen]] if chosen in BY_NAME else [*BY_NAME.values()]

@@ -21,12 +21,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from taxinet_ros.campaign.rates import count_outcomes
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.summary import row_line
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.trials.rates import count_outcomes
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.summary import row_line
 
 _PAGE_WIDTH = 100
 HEARTBEAT = 'TAXINET_HEARTBEAT_S'

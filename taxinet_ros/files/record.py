@@ -415,7 +415,7 @@ def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entr
 
 
 _ALL = 'SELECT kind, key, value, digest FROM entries'
-_EMPTY = '{}: has no entry; was its command killed as it began, or the file cut?'
+_EMPTY = '{}: has no entry; has its command just begun, was it killed so, or the file cut?'
 
 
 def _lengthen(path: Path) -> None:

@@ -34,8 +34,6 @@ from taxinet_ros.bag.run.run_bag import (
 )
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
-from taxinet_ros.campaign.options import IMAGES
-from taxinet_ros.campaign.record.facts import program_attachment
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
@@ -61,6 +59,8 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
+from taxinet_ros.trials.options import IMAGES
+from taxinet_ros.trials.record.facts import program_attachment
 
 _FAILURES = (Outcome.FAIL, Outcome.INFRA_ERROR)
 

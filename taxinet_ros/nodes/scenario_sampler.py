@@ -17,18 +17,6 @@ from typing import Any
 from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.campaign.campaign import Campaign, exit_code
-from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, make_options
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.samplers.registry import SAMPLERS
-from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
-from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
-from taxinet_ros.campaign.summary import (
-    campaign_heading,
-    campaign_summary,
-    requirement_lines,
-    row_line,
-)
 from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import ExitCode, InfraKind, UsageError
@@ -45,6 +33,18 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
 )
 from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.samplers.registry import SAMPLERS
+from taxinet_ros.trials.campaign import Campaign, exit_code
+from taxinet_ros.trials.options import DEFAULT_SPECS, CampaignOptions, make_options
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.search import Search, search_heading, search_summary, space_lines
+from taxinet_ros.trials.search_options import SearchOptions, make_search_options
+from taxinet_ros.trials.summary import (
+    campaign_heading,
+    campaign_summary,
+    requirement_lines,
+    row_line,
+)
 
 _PROGRAMS = 'program'
 """Word that selects the program's own sampler, else the default."""

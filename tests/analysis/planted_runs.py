@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
-from taxinet_ros.campaign.record.facts import FACTS
 from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.trials.record.facts import FACTS
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 

@@ -21,11 +21,11 @@ from taxinet_ros.analysis.fault_localisation import (
     write_cases,
 )
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT, png_bytes
-from taxinet_ros.campaign.past_runs.trials import Trial
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.past_runs.trials import Trial
+from taxinet_ros.trials.record.row import RunRow
 
 WORDS = ('as-recorded', 'truth', 'truth-heading', 'truth-cte')
 DELAYED = 'delayed:0.5'

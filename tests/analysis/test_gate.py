@@ -25,14 +25,14 @@ from taxinet_ros.analysis.gate import (
     rerun_command,
     rerun_documents,
 )
-from taxinet_ros.campaign.rates import ProgramRate
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.sample_size import fewest_runs
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.rates import ProgramRate
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.sample_size import fewest_runs
 
 ALPHA = 0.05
 LOOK = ALPHA / 2

@@ -9,9 +9,9 @@ import pytest
 from campaign_records import write_campaign
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
+from taxinet_ros.trials.record.row import RunRow
 
 CROSS_TRACKS_M = (0.5, 7.0, -1.0)
 SPEC = 'phi_always'

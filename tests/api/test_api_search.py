@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.campaign import exit_code
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.record.facts import recorded_system
-from taxinet_ros.campaign.search import Search
-from taxinet_ros.campaign.search_options import make_search_options
-from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
+from taxinet_ros.trials.campaign import exit_code
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.record.facts import recorded_system
+from taxinet_ros.trials.search import Search
+from taxinet_ros.trials.search_options import make_search_options
+from taxinet_ros.trials.worker_pool import WorkerPool, run_search
 
 SETTINGS = {'duration': 4, 'cross_track': 3}
 PER_MACHINE = ['bag', 'wall_s', 'real_time_factor']

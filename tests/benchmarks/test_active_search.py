@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from searches import LANDSCAPES, Landscape, Search, count_distinct, search
 
-from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, prior_point
+from taxinet_ros.samplers.space import Branch, Dimension, Point, Space, prior_point
 
 pytestmark = pytest.mark.nightly
 

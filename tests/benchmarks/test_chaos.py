@@ -18,10 +18,10 @@ pytestmark = pytest.mark.nightly
 FAKE = r"""
 import json, pathlib, sys, time
 sys.path[:0] = {path!r}
-from taxinet_ros.campaign.record.content import ROW, run_key
-from taxinet_ros.campaign.record.facts import FACTS
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import write_tables
+from taxinet_ros.trials.record.content import ROW, run_key
+from taxinet_ros.trials.record.facts import FACTS
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import write_tables
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import Record
 from taxinet_ros.core.mtl import exact_intervals

@@ -11,8 +11,8 @@ import rare
 from rare import LANDSCAPES, METHODS, RUNS, SPACE, attempt, draw, measure_rare, split
 from scipy.special import ndtri
 
-from taxinet_ros.campaign.rates import share_bounds
-from taxinet_ros.campaign.samplers.splitting import LOOK_TAIL
+from taxinet_ros.samplers.splitting import LOOK_TAIL
+from taxinet_ros.trials.rates import share_bounds
 
 pytestmark = pytest.mark.nightly
 

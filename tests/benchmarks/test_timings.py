@@ -22,10 +22,10 @@ from timings import measure_subjects
 
 from taxinet_ros.bag.topics import describe_topic, offered_qos
 from taxinet_ros.bag.writer import BagWriter
-from taxinet_ros.campaign.samplers.registry import SAMPLERS
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.processes.child import ChildProcess
+from taxinet_ros.samplers.registry import SAMPLERS
 
 pytestmark = pytest.mark.nightly
 

@@ -16,8 +16,6 @@ from taxinet_ros.analysis import fault_localisation
 from taxinet_ros.analysis.campaign import folder as analysis_folder
 from taxinet_ros.bag import layout
 from taxinet_ros.bag.check import compare
-from taxinet_ros.campaign import experiment, learned_result
-from taxinet_ros.campaign.record import table
 from taxinet_ros.cli.checked import RECORD_NAMES, check_output, outputs
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.cli.study import improve
@@ -27,6 +25,8 @@ from taxinet_ros.extras.evidence import evidence
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.training.data import dataset_folder, image_folder, unfinished
+from taxinet_ros.trials import experiment, learned_result
+from taxinet_ros.trials.record import table
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')

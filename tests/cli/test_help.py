@@ -7,7 +7,6 @@ import sys
 import pytest
 import typer
 
-from taxinet_ros.campaign.scenes.programs import known_programs
 from taxinet_ros.cli import progress
 from taxinet_ros.cli.commands import OWN, SECTIONS
 from taxinet_ros.cli.help import EXAMPLES
@@ -15,6 +14,7 @@ from taxinet_ros.cli.main import app
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import COMMANDS, SHIPPED
+from taxinet_ros.scenes.programs import known_programs
 
 ROOT = typer.main.get_command(app)
 

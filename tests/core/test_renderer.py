@@ -12,8 +12,6 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.record.facts import facts_of_runs, recorded_world
 from taxinet_ros.cli.options import renderer_of, scene_settings
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -31,6 +29,8 @@ from taxinet_ros.core.world import (
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.training.data.dataset_folder import DatasetOptions
 from taxinet_ros.training.data.photographs import photograph
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.record.facts import facts_of_runs, recorded_world
 
 AHEAD = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
 

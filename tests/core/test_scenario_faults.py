@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.options import make_options
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.faults import (
     SteeringFaults,
@@ -26,6 +25,7 @@ from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import WORLDS, Extension
+from taxinet_ros.trials.options import make_options
 
 SCENE = {'duration': 2.0, 'time_of_day': 7.0, 'cross_track': 2.0, 'heading': -6.0}
 ONSET_STEP = 10

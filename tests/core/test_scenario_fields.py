@@ -8,8 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.rig.catalogue import AIRCRAFT
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
@@ -31,6 +29,8 @@ from taxinet_ros.core.scenario_fields import (
     other_form,
 )
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import table
 
 ROOT = Path(__file__).parents[2]
 MESSAGE = ROOT / 'msg_defs/msg/Scenario.msg'

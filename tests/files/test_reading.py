@@ -13,9 +13,6 @@ import pytest
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bench.report import load_report
-from taxinet_ros.campaign.cluster.connection import check_cluster
-from taxinet_ros.campaign.learned_program import learned_program
-from taxinet_ros.campaign.scenes.programs import stored_text
 from taxinet_ros.core.assurance.monitor import read_calibration
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.onnx.network import NetworkFiles
@@ -28,6 +25,9 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import read_yaml
 from taxinet_ros.files.reading import UnfitFileError, open_regular, read_file, read_text
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
+from taxinet_ros.scenes.programs import stored_text
+from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.learned_program import learned_program
 
 PACKAGE = Path(__file__).parents[2] / 'taxinet_ros'
 READERS: dict[str, Callable[[Path], Any]] = {

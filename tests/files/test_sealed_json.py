@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+from taxinet_ros.trials.doctor import examine
 
 
 def test_given_any_flipped_bit_of_a_sealed_index_then_it_is_refused(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ import pandas as pd
 import pyarrow.parquet
 import pytest
 
-from taxinet_ros.campaign.record.table import read_any_table, read_table
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_table import is_sealed_table, write_table
+from taxinet_ros.trials.record.table import read_any_table, read_table
 
 FRAME = pd.DataFrame({
     'run_id': pd.Series([f'r-{n}' for n in range(30)], dtype='string'), 'index': range(30),

@@ -23,28 +23,28 @@ from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bench.report import load_report
-from taxinet_ros.campaign.experiment import known_experiments, read_experiment
-from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
-from taxinet_ros.campaign.options import read_specs
-from taxinet_ros.campaign.record.book import finished_row, run_request
-from taxinet_ros.campaign.record.content import (
-    BEGUN,
-    REQUIREMENT,
-    ROW,
-    read_campaign,
-    run_key,
-)
-from taxinet_ros.campaign.record.facts import FACTS, campaign_facts
-from taxinet_ros.campaign.record.resumption import earlier_runs
-from taxinet_ros.campaign.record.table import table
-from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
-from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
 from taxinet_ros.core.perception.weights import SHIPPED, card_path, load_model
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.files.sealed_json import sealed_text
+from taxinet_ros.scenes.programs import find_program, shipped_folder
+from taxinet_ros.scenes.source import program_text
+from taxinet_ros.trials.experiment import known_experiments, read_experiment
+from taxinet_ros.trials.learned_result import LEARNED_NAME, LearnedResult
+from taxinet_ros.trials.options import read_specs
+from taxinet_ros.trials.record.book import finished_row, run_request
+from taxinet_ros.trials.record.content import (
+    BEGUN,
+    REQUIREMENT,
+    ROW,
+    read_campaign,
+    run_key,
+)
+from taxinet_ros.trials.record.facts import FACTS, campaign_facts
+from taxinet_ros.trials.record.resumption import earlier_runs
+from taxinet_ros.trials.record.table import table
 
 Use = Callable[[bytes], object]
 

@@ -20,7 +20,7 @@ from fuzz_watch import end_of, watched
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = pytest.mark.nightly
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from fuzz_mutations import ROUNDS, mutants
 
-from taxinet_ros.campaign.scenes.programs import shipped_folder
-from taxinet_ros.campaign.scenes.source import Rejected, SceneSource
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.programs import shipped_folder
+from taxinet_ros.scenes.source import Rejected, SceneSource
 
 pytestmark = pytest.mark.nightly
 

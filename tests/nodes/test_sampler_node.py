@@ -18,12 +18,6 @@ from rclpy.parameter import Parameter
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.facts import is_campaign
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.cli.run.search import run_falsify
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -31,6 +25,12 @@ from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.facts import is_campaign
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.search_options import SearchOptions, make_search_options
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from taxinet_process import taxinet
 
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.study.case_study import report_case_study, run_case_study
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.record import read_options
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import read_table
 
 PROGRAM = """model runway_world
 param time_of_day = Range(10, 11)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from training_samples import foreign_folder
 
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.perception.domain import domain_of_scenes, joined_domains
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.perception.weights import Source, digest, load_model
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.programs import find_program
+from taxinet_ros.scenes.source import program_digest
 from taxinet_ros.training.data.dataset import draw_scenes, make_dataset, no_progress
 from taxinet_ros.training.data.dataset_folder import DatasetOptions, write_dataset
 from taxinet_ros.training.data.image_folder import folders_domain, load_folders

@@ -16,14 +16,14 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from standing import ended, taxinet
 
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.run.campaign import run_campaign
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.running import domain
 from taxinet_ros.nodes.running.domain import BY_HAND, own_domain
 from taxinet_ros.nodes.running.node_main import spin_until
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 

@@ -7,8 +7,8 @@ import re
 import pytest
 from standing import ended, standing, taxinet
 
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 

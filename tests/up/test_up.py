@@ -16,9 +16,9 @@ from waiting import wait_for
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info, read_messages
-from taxinet_ros.campaign.doctor import examine
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.trials.doctor import examine
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
@@ -165,7 +165,7 @@ def in_bash(script: str, cwd: Path) -> list[str]:
 
 def test_given_sigterm_then_a_shell_sees_143_and_no_bag_folder_is_left_by_a_mistake(tmp_path):
     lines = in_bash(
-        'taxinet up --perception truth --out up --no-record > said & pid=$!\n'
+        ': > said; taxinet up --perception truth --out up --no-record > said & pid=$!\n'
         'until grep -q ^ready: said || ! kill -0 $pid 2> /dev/null; do sleep 0.1; done\n'
         'kill -TERM $pid; wait $pid; echo "code $?"\n'
         'tail -n 1 said\n'

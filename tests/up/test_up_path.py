@@ -6,8 +6,8 @@ import pytest
 from standing import ended, standing
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = pytest.mark.ros
 

@@ -34,11 +34,11 @@ from taxinet_ros.analysis.experiment.pairs import PairedRates
 from taxinet_ros.analysis.gate import MOST_RUNS, Bounds, Criterion, Kind, Verdict
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import scene_columns
-from taxinet_ros.campaign.rates import share_bounds
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.rates import share_bounds
+from taxinet_ros.trials.record.table import read_table
 
 DEFAULT_MARGIN = 0.05
 _DIGITS = 6

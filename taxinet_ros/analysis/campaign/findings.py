@@ -34,9 +34,9 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRa
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.record.facts import recorded_world
-from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.trials.record.facts import recorded_world
+from taxinet_ros.trials.run_command import RunSettings
 
 _DIGITS = 6
 _SIGNIFICANT = 0.05

@@ -22,12 +22,12 @@ from taxinet_ros.analysis.report.parts import Report, Table
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
-from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically, make_folder, write_atomically
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 from taxinet_ros.files.sealed_table import write_table
+from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME
 
 SCHEMA, VERSION = 'taxinet-analysis', 1
 

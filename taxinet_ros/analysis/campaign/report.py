@@ -45,8 +45,8 @@ from taxinet_ros.analysis.runs.features import (
     TIME_OF_DAY,
     varied,
 )
-from taxinet_ros.campaign.rates import count_words
 from taxinet_ros.core.provenance import differences, words
+from taxinet_ros.trials.rates import count_words
 
 _WEAK = 0.25
 

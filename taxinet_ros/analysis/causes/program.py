@@ -20,12 +20,15 @@ from taxinet_ros.analysis.causes.causes import Cause
 from taxinet_ros.analysis.causes.region import Either, Kinds, Part, Slant
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.analysis.runs.features import BY_NAME
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.facts import is_campaign
-from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.campaign.scenes.overrides import overrides_statement
-from taxinet_ros.campaign.scenes.paper_names import key_of, our_value, paper_name
-from taxinet_ros.campaign.scenes.programs import (
+from taxinet_ros.core import scenario_fields
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CATALOGUES, DATE, PLACE, SCENARIO_FIELDS
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.scenes.overrides import overrides_statement
+from taxinet_ros.scenes.paper_names import key_of, our_value, paper_name
+from taxinet_ros.scenes.programs import (
     SUFFIX,
     find_program,
     known_programs,
@@ -33,12 +36,9 @@ from taxinet_ros.campaign.scenes.programs import (
     stored_text,
     write_program,
 )
-from taxinet_ros.core import scenario_fields
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CATALOGUES, DATE, PLACE, SCENARIO_FIELDS
-from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.trials.record.facts import is_campaign
+from taxinet_ros.trials.run_command import RunSettings
 
 RUNS = 100
 ANOTHER_SEED = 1_000_003

@@ -15,10 +15,10 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_shift,
 )
 from taxinet_ros.analysis.runs.campaign import holm
-from taxinet_ros.campaign.experiment import Experiment
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.experiment import Experiment
+from taxinet_ros.trials.record.row import RunRow
 
 Rows = Mapping[str, Sequence[RunRow]]
 """Runs of an experiment by name of their arm."""

@@ -26,15 +26,15 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.campaign.experiment import Experiment
-from taxinet_ros.campaign.rates import count_outcomes
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import SIGNALS, parse_spec
 from taxinet_ros.core.mtl.lint import rho_unit
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY, TIME_OF_DAY, clock_words
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.experiment import Experiment
+from taxinet_ros.trials.rates import count_outcomes
+from taxinet_ros.trials.record.row import RunRow
 
 _HOURS = TIME_OF_DAY.key
 _LOWEST_SHOWN = -6.0

@@ -24,10 +24,10 @@ import pandas as pd
 
 from taxinet_ros.analysis.odd.dispersion import Hole, largest_hole
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, group_rate
-from taxinet_ros.campaign.odd.odd_file import OUTSIDE, Combination, Odd
-from taxinet_ros.campaign.rates import rate
 from taxinet_ros.core.scenario_fields import DURATION, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.odd.odd_file import OUTSIDE, Combination, Odd
+from taxinet_ros.trials.rates import rate
 
 Ints = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]

@@ -24,11 +24,11 @@ from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, read_run_view
 from taxinet_ros.analysis.report.worst import WorstView, rho_words, view_worst
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.campaign.record.facts import record_beside
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.pages import write_index
+from taxinet_ros.trials.record.facts import record_beside
 
 _ASSETS = Path(__file__).parent / 'assets'
 _STYLES = ('page.css', 'table.css', 'viewer.css')

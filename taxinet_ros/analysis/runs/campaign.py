@@ -23,27 +23,27 @@ from taxinet_ros.analysis.runs.features import (
     feature_columns,
     scene_columns,
 )
-from taxinet_ros.campaign.rates import (
-    count_kinds,
-    count_words,
-    rate,
-    sample_size_was_fixed,
-    without_gaps,
-)
-from taxinet_ros.campaign.record.facts import (
-    planned_runs,
-    read_facts,
-    recorded_stacks,
-)
-from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
-from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
-from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.provenance import Provenance
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.scenes.overrides import scenes_words
+from taxinet_ros.trials.rates import (
+    count_kinds,
+    count_words,
+    rate,
+    sample_size_was_fixed,
+    without_gaps,
+)
+from taxinet_ros.trials.record.facts import (
+    planned_runs,
+    read_facts,
+    recorded_stacks,
+)
+from taxinet_ros.trials.record.row import SIMPLY_DRAWN
+from taxinet_ros.trials.record.table import PARQUET_NAME, read_table
 
 
 class GroupRate(NamedTuple):
@@ -87,7 +87,7 @@ def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupR
         failed: whether each run failed.
         weight: 1 if the program itself drew the run and it counts, else 0; NaN if there is no
             such run in the campaign.
-        anytime: whether the number of runs was open (:mod:`taxinet_ros.campaign.rates`).
+        anytime: whether the number of runs was open (:mod:`taxinet_ros.trials.rates`).
     """
     runs, failures = len(failed), int(np.count_nonzero(failed))
     drawn = weight == 1

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from taxinet_ros.campaign.learned_program import learned_program
-from taxinet_ros.campaign.learned_result import LEARNED_NAME, Evidence, LearnedResult
-from taxinet_ros.campaign.samplers.registry import check_sampler
-from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.scenes.overrides import overrides_statement
-from taxinet_ros.campaign.scenes.programs import find_program, write_program
-from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.samplers.registry import check_sampler
+from taxinet_ros.samplers.sampler import Probabilities
+from taxinet_ros.scenes.overrides import overrides_statement
+from taxinet_ros.scenes.programs import find_program, write_program
+from taxinet_ros.trials.learned_program import learned_program
+from taxinet_ros.trials.learned_result import LEARNED_NAME, Evidence, LearnedResult
+from taxinet_ros.trials.search import Search
 
 PROGRAM_NAME, PICTURE_NAME = 'learned.scenic', 'learned.png'
 

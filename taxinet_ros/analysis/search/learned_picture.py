@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from taxinet_ros.campaign.scenes.search_space import Choice
+from taxinet_ros.scenes.search_space import Choice
 
 _COLUMNS = 3
 _PROGRAM, _LEARNED = '0.75', '#0072B2'

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
-from taxinet_ros.campaign.rates import CONFIDENCE
-from taxinet_ros.campaign.samplers.splitting import WIDE, RareEstimate, Splitting, State
-from taxinet_ros.campaign.scenes.overrides import scenes_words
-from taxinet_ros.campaign.search import Search
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.samplers.splitting import WIDE, RareEstimate, Splitting, State
+from taxinet_ros.scenes.overrides import scenes_words
+from taxinet_ros.trials.rates import CONFIDENCE
+from taxinet_ros.trials.search import Search
 
 JSON_NAME = 'estimate.json'
 

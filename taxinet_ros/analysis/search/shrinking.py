@@ -18,20 +18,20 @@ from taxinet_ros.analysis.report.parts import Column, Picture, Section, Table, T
 from taxinet_ros.analysis.report.parts import Report as PageReport
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.scenes.programs import scenario_program
-from taxinet_ros.campaign.shrink.options import ShrinkOptions
-from taxinet_ros.campaign.shrink.shrinking import (
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.scenes.programs import scenario_program
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.shrink.options import ShrinkOptions
+from taxinet_ros.trials.shrink.shrinking import (
     Report,
     edge_words,
     finding_lines,
     off_nominal,
     run_command,
 )
-from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.files.atomic import write_atomically
 
 _MOST = 3
 _NOTHING = {

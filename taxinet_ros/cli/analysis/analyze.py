@@ -14,9 +14,9 @@ from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, json_t
 from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentences, summary
 from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
 from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
-from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.cli.progress import Heartbeat
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.trials.record.table import PARQUET_NAME
 
 _LOWEST_ALPHA, _HIGHEST_ALPHA = 0.002, 0.5
 

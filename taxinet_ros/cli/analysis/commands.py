@@ -97,11 +97,11 @@ def localize(
     its heading error only and of its cross-track error only. After an interrupt, the same command
     continues.
     """
-    from taxinet_ros.campaign.options import LOOP
-    from taxinet_ros.campaign.past_runs.localisation import make_localize_options
-    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.analysis.localize import run_localize
     from taxinet_ros.errors import UsageError
+    from taxinet_ros.trials.options import LOOP
+    from taxinet_ros.trials.past_runs.localisation import make_localize_options
+    from taxinet_ros.trials.record.facts import missing_packages_named
 
     if engine != LOOP:
         raise UsageError(
@@ -563,9 +563,9 @@ def plan(
     share, and the runs of a sequential test. Runs nothing.
     """
     from taxinet_ros.analysis.plan import Claim
-    from taxinet_ros.campaign.sequential import MAX_OFF_RUNWAY, MIN_SATISFACTION
     from taxinet_ros.cli.analysis.plan import run_plan
     from taxinet_ros.errors import UsageError
+    from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY, MIN_SATISFACTION
 
     if (min_satisfaction is None) == (max_off_runway is None):
         raise UsageError('plan: give one claim, --min-satisfaction or --max-off-runway')

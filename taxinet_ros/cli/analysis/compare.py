@@ -30,14 +30,6 @@ from taxinet_ros.analysis.runs.campaign import (
     read_runs,
     runs_of,
 )
-from taxinet_ros.campaign.options import DEFAULT_ROOT, LOOP, make_options, make_out
-from taxinet_ros.campaign.past_runs.shared_scenes import (
-    SceneSet,
-    SharedTrials,
-    scenes_of,
-    scenes_of_program,
-)
-from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.world import find_world
@@ -45,6 +37,14 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_table import write_table
+from taxinet_ros.trials.options import DEFAULT_ROOT, LOOP, make_options, make_out
+from taxinet_ros.trials.past_runs.shared_scenes import (
+    SceneSet,
+    SharedTrials,
+    scenes_of,
+    scenes_of_program,
+)
+from taxinet_ros.trials.record.facts import is_campaign
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
 BISECT_NAME = 'bisect.json'

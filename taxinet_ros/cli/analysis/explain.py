@@ -18,7 +18,6 @@ from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingI
 from taxinet_ros.analysis.explain.report import explain_json, explain_report
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
@@ -30,6 +29,7 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
 from taxinet_ros.registry import KMWH
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
+from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
 JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
 

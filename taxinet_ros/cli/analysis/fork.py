@@ -23,7 +23,6 @@ from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.api.fork import MOVES, Past, find_rescue, fork_past, read_past
 from taxinet_ros.api.run import Run
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder, read_settings
 from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
@@ -31,6 +30,7 @@ from taxinet_ros.core.scenario_fields import BY_KEY, by_key
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder, read_settings
 
 _GAIN = 'steering.'
 _MOST_POINTS = 1000

@@ -25,20 +25,6 @@ from taxinet_ros.analysis.gate import (
     rerun_documents,
 )
 from taxinet_ros.bag.check.findings import ranges
-from taxinet_ros.campaign.options import DEFAULT_ROOT
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.past_runs.shared_scenes import SharedTrials, scenes_of
-from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.content import CampaignContent
-from taxinet_ros.campaign.record.facts import (
-    STACKS,
-    is_campaign,
-    recorded_rules,
-    recorded_stacks,
-)
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import PARQUET_NAME
-from taxinet_ros.campaign.record.table import table as table_of
 from taxinet_ros.cli.checked import check_output, tell_doubts
 from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.pacing.timing import is_free
@@ -48,6 +34,20 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.sealed_table import write_table
+from taxinet_ros.trials.options import DEFAULT_ROOT
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.trials.past_runs.shared_scenes import SharedTrials, scenes_of
+from taxinet_ros.trials.rates import Planned
+from taxinet_ros.trials.record.content import CampaignContent
+from taxinet_ros.trials.record.facts import (
+    STACKS,
+    is_campaign,
+    recorded_rules,
+    recorded_stacks,
+)
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import PARQUET_NAME
+from taxinet_ros.trials.record.table import table as table_of
 from taxinet_ros.version import __version__
 
 INCONCLUSIVE_WORDS = {

@@ -20,14 +20,14 @@ from taxinet_ros.analysis.fault_localisation import (
 )
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.localisation import LocalizeOptions, localize
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.trials.past_runs.localisation import LocalizeOptions, localize
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.trials.record.facts import stack_difference
 
 
 def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:

@@ -21,20 +21,6 @@ from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict, judge_spec, signals_of_specs
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import run_samples
-from taxinet_ros.campaign.options import (
-    check_assumptions,
-    check_assumptions_read,
-    read_specs,
-    split_settings,
-)
-from taxinet_ros.campaign.past_runs.added_requirements import (
-    add_requirements,
-    addable,
-    campaign_bags,
-)
-from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
-from taxinet_ros.campaign.record.facts import is_campaign
-from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
@@ -42,6 +28,20 @@ from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judge import SpecCheck, check_specs, describe_specs, signal_ranges
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.trials.options import (
+    check_assumptions,
+    check_assumptions_read,
+    read_specs,
+    split_settings,
+)
+from taxinet_ros.trials.past_runs.added_requirements import (
+    add_requirements,
+    addable,
+    campaign_bags,
+)
+from taxinet_ros.trials.past_runs.judged_run import BagPlaces
+from taxinet_ros.trials.record.facts import is_campaign
+from taxinet_ros.trials.summary import requirement_lines
 
 
 def show_specs(

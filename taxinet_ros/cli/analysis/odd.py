@@ -26,13 +26,13 @@ from taxinet_ros.analysis.runs.campaign import (
     distinct_labels,
     read_runs,
 )
-from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
-from taxinet_ros.campaign.odd.openodd import binding_path, openodd_texts
-from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.campaign.scenes.programs import SUFFIX, known_programs
 from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.scenes.programs import SUFFIX, known_programs
+from taxinet_ros.trials.odd.odd_file import Odd, find_odd, read_odd
+from taxinet_ros.trials.odd.openodd import binding_path, openodd_texts
+from taxinet_ros.trials.run_command import RunSettings
 
 _WIDTH = 110
 _NAMES = {1: 'cells', 2: 'pairs', 3: 'triples'}

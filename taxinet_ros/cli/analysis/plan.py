@@ -21,10 +21,10 @@ from taxinet_ros.analysis.plan import (
     plan_claim,
     two_sided,
 )
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.rates import CONFIDENCE
-from taxinet_ros.campaign.record.facts import recorded_rules
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.trials.rates import CONFIDENCE
+from taxinet_ros.trials.record.facts import recorded_rules
 
 _PAGE_WIDTH = 100
 

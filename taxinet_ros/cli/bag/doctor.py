@@ -15,9 +15,9 @@ from rich.text import Text
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.findings import Check, Finding
-from taxinet_ros.campaign.doctor import Examination, examine
 from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.trials.doctor import Examination, examine
 
 
 def run_bag_doctor(bag: Path, *, as_json: bool) -> int:

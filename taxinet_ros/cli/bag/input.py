@@ -20,13 +20,13 @@ from taxinet_ros.bag.errors import (
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.topics import SCENARIO
-from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.core.assurance.switch import check_controller, named_parts
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import check_perception, perception_names
 from taxinet_ros.core.provenance import Provenance, differences
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.registry import CONTROLLERS, names
+from taxinet_ros.trials.past_runs.judged_run import BagPlaces
 
 
 def exit_code_of(bag: Path, work: Callable[[], int]) -> int:

@@ -19,11 +19,11 @@ from taxinet_ros.bag.rewrite.recovery import Recovery, recover
 from taxinet_ros.bag.rewrite.split import write_runs
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
-from taxinet_ros.campaign.options import check_new
 from taxinet_ros.cli.bag.input import exit_code_of, one_run
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.trials.options import check_new
 from taxinet_ros.version import __version__
 
 

@@ -15,7 +15,6 @@ from taxinet_ros.analysis.one_run.replay import Difference, difference, plot_rep
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.trace import Column
-from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL
 from taxinet_ros.cli.bag.input import controller_of, perception_of, perception_words, readable_bags
 from taxinet_ros.core.assurance.switch import parts_of
@@ -25,6 +24,7 @@ from taxinet_ros.core.user_code import short_word
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.replay import replay
+from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
 _COLUMNS = {
     interface.PERCEPTION: ('est_cte_m', 'est_he_rad'),

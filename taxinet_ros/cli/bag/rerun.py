@@ -22,9 +22,6 @@ from taxinet_ros.bag.rewrite.frames import IMAGE
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import recorded_world
-from taxinet_ros.campaign.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.summary import row_line
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL, print_comparison
 from taxinet_ros.cli.bag.input import (
     controller_of,
@@ -40,6 +37,9 @@ from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.processes.interrupts import ToldInterrupt
+from taxinet_ros.trials.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.summary import row_line
 
 _TAKEN_BESIDE_FROM = frozenset({
     'bag', 'run_id', 'perception', 'perception_cmd', 'controller', 'controller_cmd', 'out',

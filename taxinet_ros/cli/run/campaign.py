@@ -17,21 +17,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from taxinet_ros.campaign.audit import Auditor
-from taxinet_ros.campaign.campaign import Campaign, exit_code
-from taxinet_ros.campaign.loop_run import Loop, campaign_loop
-from taxinet_ros.campaign.options import GRAPH, LOOP, CampaignOptions
-from taxinet_ros.campaign.record.facts import recorded_system
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.samplers.sampler import MOST_LAG
-from taxinet_ros.campaign.summary import (
-    campaign_heading,
-    campaign_summary,
-    requirement_lines,
-    row_line,
-    summary_json,
-)
-from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.camera import camera
@@ -43,6 +28,21 @@ from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
+from taxinet_ros.samplers.sampler import MOST_LAG
+from taxinet_ros.trials.audit import Auditor
+from taxinet_ros.trials.campaign import Campaign, exit_code
+from taxinet_ros.trials.loop_run import Loop, campaign_loop
+from taxinet_ros.trials.options import GRAPH, LOOP, CampaignOptions
+from taxinet_ros.trials.record.facts import recorded_system
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.summary import (
+    campaign_heading,
+    campaign_summary,
+    requirement_lines,
+    row_line,
+    summary_json,
+)
+from taxinet_ros.trials.worker_pool import WorkerPool, run_search
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph

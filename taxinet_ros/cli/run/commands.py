@@ -122,10 +122,10 @@ def run(
     """
     if bag is None:
         _start_scenic()
-    from taxinet_ros.campaign.options import LOOP, make_options
     from taxinet_ros.cli.run.campaign import check_run_workers, run_campaign
     from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
+    from taxinet_ros.trials.options import LOOP, make_options
 
     if bag is not None and foxglove is not None:
         raise UsageError('--foxglove: not with --from; use the bag_player to show a bag')
@@ -159,7 +159,7 @@ def run(
 
 def _start_scenic() -> None:
     """Have Scenic imported in its own process while this one goes on."""
-    from taxinet_ros.campaign.scenes.scenic_server import start_early
+    from taxinet_ros.scenes.scenic_server import start_early
 
     start_early()
 
@@ -230,13 +230,13 @@ def falsify(
     likely. Can be resumed after Ctrl-C or power loss.
     """
     _start_scenic()
-    from taxinet_ros.campaign.options import make_options
-    from taxinet_ros.campaign.record.facts import missing_packages_named
-    from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
     from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
+    from taxinet_ros.trials.options import make_options
+    from taxinet_ros.trials.record.facts import missing_packages_named
+    from taxinet_ros.trials.search_options import make_search_options
 
     if free:
         raise UsageError(
@@ -306,12 +306,12 @@ def estimate(
     95 % interval, and draws P(robustness <= r). Exit codes: 0 estimated, 3 a wide interval.
     """
     _start_scenic()
-    from taxinet_ros.campaign.options import make_options
-    from taxinet_ros.campaign.record.facts import missing_packages_named
-    from taxinet_ros.campaign.search_options import make_estimate_options
     from taxinet_ros.cli.run.estimate import run_estimate
     from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
+    from taxinet_ros.trials.options import make_options
+    from taxinet_ros.trials.record.facts import missing_packages_named
+    from taxinet_ros.trials.search_options import make_estimate_options
 
     if target_error is not None:
         raise UsageError(
@@ -355,9 +355,9 @@ def shrink(
 
     Moves its parameters to nominal taxiing one by one, and reports which of them matter.
     """
-    from taxinet_ros.campaign.record.facts import missing_packages_named
-    from taxinet_ros.campaign.shrink.options import make_shrink_options
     from taxinet_ros.cli.run.search import run_shrink
+    from taxinet_ros.trials.record.facts import missing_packages_named
+    from taxinet_ros.trials.shrink.options import make_shrink_options
 
     with missing_packages_named(run.parent):
         options = make_shrink_options(
@@ -622,11 +622,11 @@ def experiment(
 
     Each arm of the experiment is a separate campaign; runs of the same scene are compared in pairs.
     """
-    from taxinet_ros.campaign.experiment import find_experiment, read_experiment, with_network
-    from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
-    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.run.search import run_experiment
     from taxinet_ros.errors import UsageError
+    from taxinet_ros.trials.experiment import find_experiment, read_experiment, with_network
+    from taxinet_ros.trials.options import DEFAULT_ROOT, new_folder
+    from taxinet_ros.trials.record.facts import missing_packages_named
 
     if resume and out is None:
         raise UsageError('--resume: name the experiment to continue with --out')

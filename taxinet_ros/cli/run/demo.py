@@ -9,19 +9,19 @@ import numpy as np
 from taxinet_ros.analysis.camera.sheets import Picture, contact_sheet
 from taxinet_ros.analysis.one_run.trajectories import Trajectory, plot_trajectories
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.campaign import exit_code
-from taxinet_ros.campaign.options import (
+from taxinet_ros.cli.run.campaign import campaign_rows
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.campaign import exit_code
+from taxinet_ros.trials.options import (
     DEFAULT_ROOT,
     CampaignOptions,
     check_new,
     make_options,
     new_folder,
 )
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.summary import scene_words
-from taxinet_ros.cli.run.campaign import campaign_rows
-from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.summary import scene_words
 
 PROGRAM = 's_falsif'
 PERCEPTIONS = ('original', 'taxinet', 'truth')

@@ -15,14 +15,14 @@ from taxinet_ros.analysis.search.rare import (
     unfinished_words,
     write_estimate,
 )
-from taxinet_ros.campaign.samplers.splitting import RareEstimate, State
-from taxinet_ros.campaign.search import Search, search_heading, space_lines
-from taxinet_ros.campaign.search_options import SearchOptions
-from taxinet_ros.campaign.summary import requirement_lines
 from taxinet_ros.cli.run.search import open_search, run_on_workers, search_view
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.nodes.running.domain import check_workers
+from taxinet_ros.samplers.splitting import RareEstimate, State
+from taxinet_ros.trials.search import Search, search_heading, space_lines
+from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.summary import requirement_lines
 
 
 def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:

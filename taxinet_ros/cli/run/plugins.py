@@ -9,7 +9,6 @@ from typing import Any
 
 from rich.console import Console
 
-from taxinet_ros.campaign.samplers.registry import SAMPLERS
 from taxinet_ros.cli.commands import load_extension
 from taxinet_ros.core.motion.controller import check_controller
 from taxinet_ros.core.mtl import parse_spec
@@ -18,6 +17,7 @@ from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.registry import COMMANDS, SHIPPED, Extension, installed
+from taxinet_ros.samplers.registry import SAMPLERS
 
 _USES: Mapping[str, Callable[[str], Any]] = {
     'perceptions': check_perception, 'controllers': check_controller,

@@ -27,43 +27,6 @@ from rich.table import Column
 from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.campaign.campaign import exit_code
-from taxinet_ros.campaign.cluster.connection import Cluster
-from taxinet_ros.campaign.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.campaign.cluster.task import OUT
-from taxinet_ros.campaign.experiment import (
-    JSON_NAME,
-    PAGE_NAME,
-    PAIRS_NAME,
-    Experiment,
-    arm_rows,
-    arm_searches,
-    check_paired,
-)
-from taxinet_ros.campaign.options import AUDIT, GRAPH
-from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
-from taxinet_ros.campaign.search_options import SearchOptions
-from taxinet_ros.campaign.shrink.algorithm import End
-from taxinet_ros.campaign.shrink.options import ShrinkOptions
-from taxinet_ros.campaign.shrink.shrinking import (
-    Report,
-    Shrinking,
-    finding_lines,
-    make_report,
-    parameter_table,
-    result_lines,
-    run_command,
-    shrink_heading,
-)
-from taxinet_ros.campaign.summary import (
-    requirement_lines,
-    row_line,
-    scene_words,
-    summary_json,
-)
-from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
@@ -73,6 +36,43 @@ from taxinet_ros.nodes.graph.worker import campaign_worker_command
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.trials.campaign import exit_code
+from taxinet_ros.trials.cluster.connection import Cluster
+from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
+from taxinet_ros.trials.cluster.task import OUT
+from taxinet_ros.trials.experiment import (
+    JSON_NAME,
+    PAGE_NAME,
+    PAIRS_NAME,
+    Experiment,
+    arm_rows,
+    arm_searches,
+    check_paired,
+)
+from taxinet_ros.trials.options import AUDIT, GRAPH
+from taxinet_ros.trials.rates import failure_rate
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.search import Search, search_heading, search_summary, space_lines
+from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.shrink.algorithm import End
+from taxinet_ros.trials.shrink.options import ShrinkOptions
+from taxinet_ros.trials.shrink.shrinking import (
+    Report,
+    Shrinking,
+    finding_lines,
+    make_report,
+    parameter_table,
+    result_lines,
+    run_command,
+    shrink_heading,
+)
+from taxinet_ros.trials.summary import (
+    requirement_lines,
+    row_line,
+    scene_words,
+    summary_json,
+)
+from taxinet_ros.trials.worker_pool import WorkerPool, run_search
 
 _REFRESH_PER_S = 2.0
 

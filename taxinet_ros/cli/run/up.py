@@ -18,16 +18,6 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from taxinet_ros.campaign.options import (
-    DEFAULT_ROOT,
-    IMAGES,
-    check_new,
-    check_not_free,
-    check_timing,
-    new_folder,
-    recorded_images,
-    split_settings,
-)
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import EXTERNAL
@@ -48,6 +38,16 @@ from taxinet_ros.nodes.graph.supervisor import (
 from taxinet_ros.nodes.running.domain import BY_HAND, DISCOVERY_RANGE, LOCALHOST, domain_number
 from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.registry import KMWH
+from taxinet_ros.trials.options import (
+    DEFAULT_ROOT,
+    IMAGES,
+    check_new,
+    check_not_free,
+    check_timing,
+    new_folder,
+    recorded_images,
+    split_settings,
+)
 
 _REFRESH_PER_S = 2.0
 _STYLES = {

@@ -12,9 +12,6 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from taxinet_ros.campaign.cluster.connection import check_cluster
-from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
-from taxinet_ros.campaign.rates import rate
 from taxinet_ros.cli.options import (
     AuditOption,
     ClusterOption,
@@ -32,6 +29,9 @@ from taxinet_ros.study.improve.options import ImproveOptions
 from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
 from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
+from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder
+from taxinet_ros.trials.rates import rate
 
 ROUNDS_NAME = 'rounds.json'
 """The rounds of the record, to read."""

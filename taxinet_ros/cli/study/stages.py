@@ -8,13 +8,13 @@ from typing import Any
 
 import typer
 
-from taxinet_ros.campaign.options import GRAPH, make_options
-from taxinet_ros.campaign.record.facts import missing_packages_named
-from taxinet_ros.campaign.search_options import make_search_options
 from taxinet_ros.cli.analysis.commands import analyze, explain, localize
 from taxinet_ros.cli.run.commands import experiment, shrink
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.study.stages.stage import Stage
+from taxinet_ros.trials.options import GRAPH, make_options
+from taxinet_ros.trials.record.facts import missing_packages_named
+from taxinet_ros.trials.search_options import make_search_options
 
 
 def call_stage(stage: Stage, resume: bool) -> int:

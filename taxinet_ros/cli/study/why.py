@@ -11,10 +11,6 @@ import typer
 from rich.console import Console
 
 from taxinet_ros.analysis.report.page import write_report_page
-from taxinet_ros.campaign.cluster.connection import check_cluster
-from taxinet_ros.campaign.options import DEFAULT_ROOT, make_out
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
@@ -39,6 +35,10 @@ from taxinet_ros.study.why.verdict import (
     actions,
     judge,
 )
+from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.options import DEFAULT_ROOT, make_out
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.trials.record.facts import is_campaign
 
 _COMMAND = 'why'
 

@@ -27,7 +27,6 @@ from taxinet_ros.analysis.camera.sheets import (
     scene_picture,
     sheet_scenes,
 )
-from taxinet_ros.campaign.options import DEFAULT_ROOT, read_settings
 from taxinet_ros.cli.checked import tell_doubts
 from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
@@ -37,6 +36,7 @@ from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.options import DEFAULT_ROOT, read_settings
 
 SUFFIX = '.png'
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}

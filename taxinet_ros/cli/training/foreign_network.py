@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from taxinet_ros.analysis.camera.network_view import draw_network_view, network_view
-from taxinet_ros.campaign.options import read_settings
 from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.training.camera import new_picture, write_picture
 from taxinet_ros.core.perception.domain import domain_words
@@ -23,6 +22,7 @@ from taxinet_ros.core.perception.onnx.trial import tried_network
 from taxinet_ros.core.perception.perception import find_domain
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.options import read_settings
 
 
 def convert_nnet(file: Path, out: Path, description: str) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from taxinet_ros.analysis.camera.rig_pictures import draw_aircraft, draw_camera
-from taxinet_ros.campaign.options import SUFFIXES
 from taxinet_ros.cli.checked import check_output, tell_doubts
 from taxinet_ros.cli.training.camera import new_picture, write_picture
 from taxinet_ros.core.camera.airframe import covering_doubts
@@ -18,6 +17,7 @@ from taxinet_ros.core.rig.camera_model import BY_HAND, CameraModel
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import dump_yaml
+from taxinet_ros.trials.options import SUFFIXES
 
 
 def print_aircraft() -> None:

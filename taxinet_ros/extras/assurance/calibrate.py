@@ -16,7 +16,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.rates import share_bounds
 from taxinet_ros.core.assurance.checks import (
     CHECKS,
     COMPONENTS,
@@ -53,6 +52,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.training.data.dataset import draw_scenes
+from taxinet_ros.trials.rates import share_bounds
 
 REQUIREMENT = 'phi_eventually'
 """A run counts as satisfied if it satisfies this."""

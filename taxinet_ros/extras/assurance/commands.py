@@ -85,10 +85,10 @@ def assure_judge(
     Drives the same scenes without ROS: once with the monitor only watching, and once more for each
     fallback where it raised an alarm.
     """
-    from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
     from taxinet_ros.core.user_code import short_word
     from taxinet_ros.extras.assurance.judge import JudgeOptions
     from taxinet_ros.extras.assurance.show import run_judge
+    from taxinet_ros.trials.options import DEFAULT_ROOT, new_folder
 
     name = f'assure-{Path(program).stem}-{short_word(perception)}-seed{seed}'
     raise typer.Exit(run_judge(

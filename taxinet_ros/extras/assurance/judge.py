@@ -19,8 +19,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.past_runs.trials import TrialRecord, check_trials_folder
-from taxinet_ros.campaign.rates import Rate, rate, share_bounds
 from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import (
     WATCH,
@@ -47,6 +45,8 @@ from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.training.data.dataset import draw_scenes
+from taxinet_ros.trials.past_runs.trials import TrialRecord, check_trials_folder
+from taxinet_ros.trials.rates import Rate, rate, share_bounds
 
 WITHOUT = 'without'
 """What a run without monitor is called."""

@@ -14,7 +14,6 @@ from rich.table import Table
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
-from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.cli.bag.input import readable_run
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.assurance.monitor import (
@@ -41,6 +40,7 @@ from taxinet_ros.extras.assurance.judge import (
     plain_result,
 )
 from taxinet_ros.extras.assurance.recorded import judge_recording
+from taxinet_ros.trials.rates import Rate
 
 _PAGE_WIDTH = 100
 _OCTAVES = 2

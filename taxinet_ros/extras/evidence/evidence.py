@@ -22,10 +22,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from taxinet_ros.analysis.odd.coverage import coverage_json, odd_coverage
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.bag.layout import STORAGE_ID
-from taxinet_ros.campaign.odd.odd_file import Odd, find_odd, read_odd
-from taxinet_ros.campaign.options import check_new, make_out
-from taxinet_ros.campaign.record.facts import EXTENSIONS, WORLD, recorded_stacks
-from taxinet_ros.campaign.scenes.overrides import scenes_words
 from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.core.mtl.specs import SIGNALS, parse_spec
 from taxinet_ros.core.pacing.timing import is_free
@@ -52,6 +48,10 @@ from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.registry import KMWH
+from taxinet_ros.scenes.overrides import scenes_words
+from taxinet_ros.trials.odd.odd_file import Odd, find_odd, read_odd
+from taxinet_ros.trials.options import check_new, make_out
+from taxinet_ros.trials.record.facts import EXTENSIONS, WORLD, recorded_stacks
 
 Progress = Callable[[str, int, int], None]
 SCHEMA = 'taxinet-evidence-3'

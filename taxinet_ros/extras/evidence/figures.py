@@ -1,6 +1,6 @@
 """Figures of a system's runs: rates with intervals, robustness, ODD cells, causes.
 
-Every rate is one of :mod:`taxinet_ros.campaign.rates`: of the runs that the program itself drew. A
+Every rate is one of :mod:`taxinet_ros.trials.rates`: of the runs that the program itself drew. A
 campaign whose scenes were all chosen by a sampler gives counts, and no rate. Several campaigns of
 one system are added up in the open, beside their own figures; as somebody decided to run another
 one after the first, their interval is the one that is valid at any time.
@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from taxinet_ros.campaign.rates import (
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.extras.evidence.inputs import CampaignInput
+from taxinet_ros.trials.rates import (
     ProgramRate,
     count_kinds,
     off_runway_rate,
@@ -24,9 +26,7 @@ from taxinet_ros.campaign.rates import (
     rate_of,
     without_gaps,
 )
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.extras.evidence.inputs import CampaignInput
+from taxinet_ros.trials.record.row import RunRow
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Of the robustness."""

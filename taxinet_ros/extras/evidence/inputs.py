@@ -17,13 +17,6 @@ from typing import Any
 
 from taxinet_ros.analysis.fault_localisation import JSON_NAME as LOCALISE_NAME
 from taxinet_ros.bag.layout import bag_files
-from taxinet_ros.campaign.doctor import examine
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
-from taxinet_ros.campaign.past_runs.trials import SETTINGS, TRIAL
-from taxinet_ros.campaign.rates import Planned
-from taxinet_ros.campaign.record.facts import planned_runs, recorded_world
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.weights import (
@@ -36,6 +29,13 @@ from taxinet_ros.core.perception.weights import (
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
+from taxinet_ros.trials.doctor import examine
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.trials.past_runs.trials import SETTINGS, TRIAL
+from taxinet_ros.trials.rates import Planned
+from taxinet_ros.trials.record.facts import planned_runs, recorded_world
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME
 
 MONITOR_NAME = 'assurance.json'
 """Summary of ``taxinet assure judge``, with the digests of its runs."""

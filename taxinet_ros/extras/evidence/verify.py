@@ -19,9 +19,6 @@ from typing import Any
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.loop_run import Loop, LoopOptions
-from taxinet_ros.campaign.record.facts import recorded_stacks, recorded_world
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.provenance import differences, provenance
@@ -39,6 +36,9 @@ from taxinet_ros.extras.evidence.evidence import (
 from taxinet_ros.extras.evidence.inputs import CampaignInput, requirement_of, usable_network
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
+from taxinet_ros.trials.loop_run import Loop, LoopOptions
+from taxinet_ros.trials.record.facts import recorded_stacks, recorded_world
+from taxinet_ros.trials.record.row import RunRow
 
 _LINE = re.compile(r'([0-9a-f]{64})  ([^/\n]+)')
 

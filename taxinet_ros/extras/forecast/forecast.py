@@ -26,10 +26,6 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.rates import Rate, rate, sample_size_was_fixed
-from taxinet_ros.campaign.record.facts import recorded_rules, recorded_world
-from taxinet_ros.campaign.record.row import SIMPLY_DRAWN, RunRow
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.types import NS_PER_S
@@ -37,6 +33,10 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.forecast.conformal import DIGITS, ConformalModel, Floats, fit
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.trials.rates import Rate, rate, sample_size_was_fixed
+from taxinet_ros.trials.record.facts import recorded_rules, recorded_world
+from taxinet_ros.trials.record.row import SIMPLY_DRAWN, RunRow
 
 FORMAT = 1
 STEP_S = CONTROL_PERIOD_NS / NS_PER_S

@@ -10,10 +10,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.campaign.options import DEFAULT_JUDGING, DEFAULT_ROOT, read_specs
-from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of_program
-from taxinet_ros.campaign.rates import rate
-from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.verdict.judging import Judging
@@ -28,6 +24,10 @@ from taxinet_ros.extras.tune.tuning import (
     varied_gains,
 )
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.trials.options import DEFAULT_JUDGING, DEFAULT_ROOT, read_specs
+from taxinet_ros.trials.past_runs.shared_scenes import scenes_of_program
+from taxinet_ros.trials.rates import rate
+from taxinet_ros.trials.run_command import RunSettings
 
 JSON_NAME = 'tune.json'
 

@@ -26,12 +26,12 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_rates,
     paired_shift,
 )
-from taxinet_ros.campaign.past_runs.shared_scenes import Scene, SceneSet
-from taxinet_ros.campaign.past_runs.trials import Trial, TrialRecord, TrialSystem, trial_pool
-from taxinet_ros.campaign.samplers.optuna_study import SEEDS, new_study, quiet
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.samplers.optuna_study import SEEDS, new_study, quiet
+from taxinet_ros.trials.past_runs.shared_scenes import Scene, SceneSet
+from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord, TrialSystem, trial_pool
 
 if TYPE_CHECKING:
     from optuna import Trial as Proposal

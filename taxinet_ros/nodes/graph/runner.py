@@ -17,7 +17,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
-from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.system import System
 from taxinet_ros.core.user_code import is_node_elsewhere, node_command
@@ -38,6 +37,7 @@ from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 from taxinet_ros.processes.child import end_all
 from taxinet_ros.registry import KMWH
+from taxinet_ros.trials.options import CampaignOptions
 
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]

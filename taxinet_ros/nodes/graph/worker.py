@@ -1,6 +1,6 @@
 """Worker process of a search: one composed graph for many runs.
 
-Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which defines the pipe protocol;
+Started by :class:`taxinet_ros.trials.worker_pool.WorkerProcess`, which defines the pipe protocol;
 Linux kills the worker when its parent dies.
 """
 
@@ -22,21 +22,21 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import module_command
 
 if TYPE_CHECKING:
-    from taxinet_ros.campaign.options import CampaignOptions
     from taxinet_ros.core.system import System
     from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
     from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
+    from taxinet_ros.trials.options import CampaignOptions
 
 _BEAT_S = 1.0
 
 
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
     """Command line of a worker for the runs of a campaign, by its engine."""
-    from taxinet_ros.campaign.loop_run import campaign_loop
-    from taxinet_ros.campaign.loop_worker import loop_worker_command
-    from taxinet_ros.campaign.options import GRAPH
-    from taxinet_ros.campaign.record.facts import recorded_system
     from taxinet_ros.nodes.graph.runner import campaign_graph
+    from taxinet_ros.trials.loop_run import campaign_loop
+    from taxinet_ros.trials.loop_worker import loop_worker_command
+    from taxinet_ros.trials.options import GRAPH
+    from taxinet_ros.trials.record.facts import recorded_system
 
     system = recorded_system(campaign, facts)
     if campaign.engine == GRAPH:
@@ -48,8 +48,8 @@ def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any])
 
 def audit_command(campaign: CampaignOptions, system: System) -> list[str]:
     """Command line of a worker that repeats runs of a campaign for :class:`.Auditor`."""
-    from taxinet_ros.campaign.options import AUDIT_FOLDER
     from taxinet_ros.nodes.graph.runner import campaign_graph
+    from taxinet_ros.trials.options import AUDIT_FOLDER
 
     graph = campaign_graph(campaign, system)
     return worker_command(dataclasses.replace(graph, out=campaign.out / AUDIT_FOLDER))
@@ -71,7 +71,7 @@ class _Inbox:
 
     def listen(self) -> None:
         """Read until the parent closes the pipe."""
-        from taxinet_ros.campaign.worker_pool import request_from_json
+        from taxinet_ros.trials.worker_pool import request_from_json
 
         # Unbuffered: an unjoined thread would hold a buffer's lock forever.
         for line in io.FileIO(sys.stdin.fileno(), closefd=False):
@@ -103,14 +103,14 @@ class _Outbox:
 
     def say(self, **message: Any) -> None:
         """Send one line."""
-        from taxinet_ros.campaign.worker_pool import encode_line
+        from taxinet_ros.trials.worker_pool import encode_line
 
         with self._lock:
             os.write(self._fd, encode_line(message))
 
     def answer(self, request: RunRequest, result: RunResult) -> bool:
         """Send a result; the parent decides whether to keep this graph."""
-        from taxinet_ros.campaign.worker_pool import result_to_json
+        from taxinet_ros.trials.worker_pool import result_to_json
 
         self.say(result=result_to_json(result))
         return True

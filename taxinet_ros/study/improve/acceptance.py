@@ -29,10 +29,10 @@ from taxinet_ros.analysis.runs.features import (
     Mask,
     feature_columns,
 )
-from taxinet_ros.campaign.rates import rate, share_bounds
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.rates import rate, share_bounds
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import table
 
 INCUMBENT, CANDIDATE = 'incumbent', 'candidate'
 MARGIN, PLACE_MARGIN = 0.01, 0.05

@@ -19,9 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.causes.region import Region, part_of
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.core.perception.weights import card_path, load_model
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import make_atomically
@@ -29,6 +26,9 @@ from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.improve.acceptance import Decision, decide
 from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
 from taxinet_ros.study.stages.stage import Stage, analysis_stage, campaign_stage, training_stage
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import PARQUET_NAME
 
 START = 'start.safetensors'
 """The initial network, copied so that the folder contains everything the loop depends on."""

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Self
 
 from taxinet_ros import registry
-from taxinet_ros.campaign.samplers.registry import SAMPLERS
-from taxinet_ros.campaign.scenes.programs import find_program, known_programs
 from taxinet_ros.core.perception.weights import load_model, weights_path
 from taxinet_ros.errors import UsageError
+from taxinet_ros.samplers.registry import SAMPLERS
+from taxinet_ros.scenes.programs import find_program, known_programs
 from taxinet_ros.training.data.portions import parse_portion
 
 _LIMITS: dict[str, tuple[float, float]] = {

@@ -13,16 +13,13 @@ import pandas as pd
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting, runs_of
 from taxinet_ros.analysis.runs.settled import settled_cross_track_m
-from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
-from taxinet_ros.campaign.rates import Rate, rate
-from taxinet_ros.campaign.record.table import PARQUET_NAME, read_any_table, read_table
-from taxinet_ros.campaign.scenes.search_space import Choice
 from taxinet_ros.core.perception.weights import weights_path
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.reading import read_file
 from taxinet_ros.files.sealed_json import read_sealed
+from taxinet_ros.scenes.search_space import Choice
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.plan import (
     ANALYZE,
@@ -35,6 +32,9 @@ from taxinet_ros.study.stages.plan import (
     search_of,
     weights_of,
 )
+from taxinet_ros.trials.learned_result import LEARNED_NAME, LearnedResult
+from taxinet_ros.trials.rates import Rate, rate
+from taxinet_ros.trials.record.table import PARQUET_NAME, read_any_table, read_table
 
 LEARNED = 'iterative-verifai'
 """The shipped network that was trained on images of the failures that the paper's rule learned."""

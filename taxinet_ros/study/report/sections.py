@@ -16,7 +16,6 @@ import pandas as pd
 from taxinet_ros.analysis.experiment.arms import paired_arms
 from taxinet_ros.analysis.experiment.report import arms_picture
 from taxinet_ros.analysis.report.parts import Column, Picture, Section, Table
-from taxinet_ros.campaign.experiment import arm_rows, find_experiment, read_experiment
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
 from taxinet_ros.study.report.figures import (
     day_pictures,
@@ -37,6 +36,7 @@ from taxinet_ros.study.report.tables import (
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.plan import PAPER_RULE
 from taxinet_ros.study.stages.progress import clock, rough_duration
+from taxinet_ros.trials.experiment import arm_rows, find_experiment, read_experiment
 
 _LEAST_P = 0.0001
 

@@ -16,8 +16,6 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.report.parts import Column, Table
-from taxinet_ros.campaign.learned_result import share_of_failures
-from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.study.report.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
 from taxinet_ros.study.report.results import Network, Results
 from taxinet_ros.study.stages.plan import (
@@ -30,6 +28,8 @@ from taxinet_ros.study.stages.plan import (
 )
 from taxinet_ros.study.stages.record import StageRecord, Stages
 from taxinet_ros.study.stages.stage import Stage
+from taxinet_ros.trials.learned_result import share_of_failures
+from taxinet_ros.trials.rates import Rate
 
 PAIRS = (
     (ORIGINAL, GENERIC), (ORIGINAL, HALTON), (ORIGINAL, SPECIALISED), (GENERIC, HALTON),

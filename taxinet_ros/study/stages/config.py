@@ -12,12 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.experiment import find_experiment
-from taxinet_ros.campaign.samplers.sampler import LAG
-from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, is_number, read_yaml
+from taxinet_ros.samplers.sampler import LAG
+from taxinet_ros.scenes.programs import find_program, shipped_folder
+from taxinet_ros.trials.experiment import find_experiment
 
 LEAST_IMAGES, LEAST_VALIDATION, LEAST_EPOCHS = 128, 32, 2
 LEAST_RUNS, LEAST_LOCALIZED, LEAST_PAIRS = 20, 5, 10

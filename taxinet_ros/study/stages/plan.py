@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.record.table import PARQUET_NAME
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.stage import (
@@ -16,6 +15,7 @@ from taxinet_ros.study.stages.stage import (
     campaign_stage,
     training_stage,
 )
+from taxinet_ros.trials.record.table import PARQUET_NAME
 
 ORIGINAL, GENERIC, HALTON, SPECIALISED = 'original', 'generic', 'halton', 'specialised'
 ITERATIVE = ('iterative-generic', 'iterative-crossing', 'iterative-learned')

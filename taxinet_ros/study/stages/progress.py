@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 
-from taxinet_ros.campaign.record.facts import is_campaign
 from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.record import StageRecord, Stages
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.training.data.unfinished import is_begun
+from taxinet_ros.trials.record.facts import is_campaign
 
 
 class State(Enum):

@@ -9,8 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.campaign.options import AUDIT
-from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
 from taxinet_ros.files.record import Record
 from taxinet_ros.processes.interrupts import interrupts_received
@@ -23,6 +21,8 @@ from taxinet_ros.study.stages.progress import (
 )
 from taxinet_ros.study.stages.record import STAGE, StageRecord, read_stages
 from taxinet_ros.study.stages.stage import Resume, Stage
+from taxinet_ros.trials.options import AUDIT
+from taxinet_ros.trials.record.table import PARQUET_NAME, read_table
 
 Work = Callable[[Stage, bool], int]
 """Calls the function of a stage, to go on with it or not; its exit code."""

@@ -14,13 +14,13 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.experiment import find_experiment, read_experiment
-from taxinet_ros.campaign.options import GRAPH, check_engine
-from taxinet_ros.campaign.record.table import PARQUET_NAME
-from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.files.sealed_json import file_sha256
+from taxinet_ros.scenes.source import program_digest
+from taxinet_ros.trials.experiment import find_experiment, read_experiment
+from taxinet_ros.trials.options import GRAPH, check_engine
+from taxinet_ros.trials.record.table import PARQUET_NAME
 from taxinet_ros.version import __version__
 
 

@@ -25,16 +25,6 @@ from taxinet_ros.analysis.fault_localisation import Blame
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
-from taxinet_ros.campaign.past_runs.localisation import make_localize_options
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_campaign
-from taxinet_ros.campaign.past_runs.trials import Task, Trial, TrialSystem, make_trial
-from taxinet_ros.campaign.record.facts import is_campaign, recorded_world
-from taxinet_ros.campaign.record.table import PARQUET_NAME
-from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.campaign.scenes.overrides import overrides_statement
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.shrink.algorithm import End
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import SteeringGains
@@ -61,6 +51,8 @@ from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.registry import KMWH
+from taxinet_ros.scenes.overrides import overrides_statement
+from taxinet_ros.scenes.programs import find_program
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.study.why.plan import (
     ANALYZE,
@@ -93,6 +85,14 @@ from taxinet_ros.study.why.verdict import (
     Paired,
     adjusted,
 )
+from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
+from taxinet_ros.trials.past_runs.localisation import make_localize_options
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.trials.past_runs.trials import Task, Trial, TrialSystem, make_trial
+from taxinet_ros.trials.record.facts import is_campaign, recorded_world
+from taxinet_ros.trials.record.table import PARQUET_NAME
+from taxinet_ros.trials.run_command import RunSettings
+from taxinet_ros.trials.shrink.algorithm import End
 
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
 _RIG = (AIRCRAFT_MODEL, CAMERA, *CAMERA_OFFSETS)

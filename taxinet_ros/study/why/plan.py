@@ -17,16 +17,16 @@ import yaml
 from taxinet_ros.analysis.causes.region import Interval, Kinds, Region
 from taxinet_ros.analysis.explain.counterfactual import Factor, factors, run_factors
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.campaign.record.table import PARQUET_NAME
-from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.campaign.scenes.programs import scenario_program
-from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.study.stages.stage import Resume, Stage
+from taxinet_ros.trials.record.table import PARQUET_NAME
+from taxinet_ros.trials.run_command import RunSettings
+from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED
 
 ANALYZE, LOCALIZE, SHRINK = 'analyze', 'localize', 'shrink'
 RECORDED, TRUTH = 'recorded', 'truth'

@@ -10,7 +10,6 @@ from typing import Any
 
 from taxinet_ros.analysis.report.parts import Cell, Column, Link, Report, Section, Table
 from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.campaign.rates import rate
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.study.why.plan import MOST_CAUSES, confirm_name, explain_name
 from taxinet_ros.study.why.verdict import (
@@ -21,6 +20,7 @@ from taxinet_ros.study.why.verdict import (
     Verdict,
     p_words,
 )
+from taxinet_ros.trials.rates import rate
 
 JSON_NAME, PAGE_NAME = 'why.json', 'why.html'
 _STAGE_PAGES = {

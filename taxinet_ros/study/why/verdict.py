@@ -17,11 +17,11 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader
 
 from taxinet_ros.analysis.runs.campaign import holm
-from taxinet_ros.campaign.rates import Rate, rate
-from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.registry import KMWH
+from taxinet_ros.trials.rates import Rate, rate
+from taxinet_ros.trials.run_command import RunSettings
 
 _SIGNIFICANT = 0.05
 

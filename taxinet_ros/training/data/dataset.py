@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.samplers.registry import make_sampler
-from taxinet_ros.campaign.samplers.sampler import Exhausted
-from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, accepted_scene
 from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
+from taxinet_ros.samplers.registry import make_sampler
+from taxinet_ros.samplers.sampler import Exhausted
+from taxinet_ros.scenes.source import Rejected, SceneSource, accepted_scene
 from taxinet_ros.training.data.photographs import photographs
 from taxinet_ros.training.data.unfinished import Unfinished
 

@@ -28,14 +28,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
+from taxinet_ros.scenes.programs import find_program
+from taxinet_ros.scenes.source import program_text
 from taxinet_ros.training.data.dataset import SAMPLERS, Progress, draw_scenes, no_progress
 from taxinet_ros.training.data.photographs import photographs
 from taxinet_ros.training.data.unfinished import NAME, Unfinished, check_request, is_begun

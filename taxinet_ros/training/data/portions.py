@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_failed_campaign
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.perception.weights import Source
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.scenes.programs import find_program
+from taxinet_ros.scenes.source import program_digest
 from taxinet_ros.training.data.dataset import Progress, draw_scenes, no_progress
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_failed_campaign
 
 SPREAD_M = 0.5
 """Standard deviation [m] of the lateral offset from the path: consecutive steps look alike, and the

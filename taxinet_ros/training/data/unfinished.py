@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from taxinet_ros.campaign.scenes.programs import check_same_files
 from taxinet_ros.errors import RecordError, UsageError, warn_once
 from taxinet_ros.files.atomic import FULL_DISK
 from taxinet_ros.files.record import Record, plain, repair_record, repaired
+from taxinet_ros.scenes.programs import check_same_files
 
 NAME = 'progress.db'
 _REQUEST, _PICTURE = 'request', 'picture'

@@ -41,11 +41,11 @@ from taxinet_ros.analysis.causes.scan import (
     log_evidence,
 )
 from taxinet_ros.analysis.runs.campaign import runs_of
-from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
 from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
+from taxinet_ros.scenes.programs import find_program
+from taxinet_ros.scenes.source import SceneSource, sample_scenarios
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = pytest.mark.nightly
 

@@ -26,11 +26,11 @@ from taxinet_ros.analysis.experiment.report import (
 )
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.analysis.runs.campaign import holm
-from taxinet_ros.campaign.experiment import Arm, Experiment
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.experiment import Arm, Experiment
+from taxinet_ros.trials.record.row import RunRow
 
 COUNTS = st.integers(0, 40)
 RATES = st.builds(PairedRates, both=COUNTS, only_first=COUNTS, only_second=COUNTS, neither=COUNTS)

@@ -16,9 +16,9 @@ from taxinet_ros.analysis.odd.coverage import coverage_json, odd_coverage
 from taxinet_ros.analysis.odd.picture import coverage_picture
 from taxinet_ros.analysis.report import pictures
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
-from taxinet_ros.campaign.odd.odd_file import read_odd
-from taxinet_ros.campaign.rates import rate
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.odd.odd_file import read_odd
+from taxinet_ros.trials.rates import rate
 
 ODD = """
 name: small

@@ -22,8 +22,8 @@ from taxinet_ros.analysis.runs.campaign import (
     read_runs,
 )
 from taxinet_ros.analysis.runs.features import BY_NAME
-from taxinet_ros.campaign.rates import rate
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.rates import rate
 
 
 def table(runs=60, **columns):

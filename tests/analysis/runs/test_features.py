@@ -14,8 +14,6 @@ from taxinet_ros.analysis.runs.features import (
     feature_columns,
     varied,
 )
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     DATAREFS,
@@ -28,6 +26,8 @@ from taxinet_ros.core.scenario_fields import (
     TRAFFIC,
 )
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import table
 
 PUSHED = {
     'wind_speed_mps': 8.0, 'wind_direction_deg': 270.0, 'gust_mps': 2.0, 'gust_seed': 3.0,

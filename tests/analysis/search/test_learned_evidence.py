@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from taxinet_ros.analysis.search.learned import _evidence
-from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.samplers.space import Dimension
 
 SEARCHED = tuple(
     SimpleNamespace(dimension=Dimension(name=name, buckets=2)) for name in ('x', 'rain')

@@ -13,8 +13,8 @@ from taxinet_ros.analysis.one_run.trajectories import Trajectory
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.analysis.search.learned_picture import learned_picture
 from taxinet_ros.analysis.search.shrinking import shrink_picture
-from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.campaign.scenes.search_space import Choice, Piece
+from taxinet_ros.samplers.space import Dimension
+from taxinet_ros.scenes.search_space import Choice, Piece
 
 CHOICES = (
     Choice(dimension=Dimension(name='x', buckets=2),

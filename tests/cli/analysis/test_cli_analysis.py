@@ -15,8 +15,8 @@ import pytest
 from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.files.record import RECORD_NAME, read_record
+from taxinet_ros.trials.record.table import read_table
 
 # A start 4 m off is too far to settle in a second: all of one arm fail and none of the other.
 EXPERIMENT = """

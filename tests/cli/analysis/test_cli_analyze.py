@@ -13,12 +13,12 @@ import pytest
 from campaign_records import write_campaign
 from taxinet_process import taxinet_apart
 
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.cli import main
 from taxinet_ros.cli.progress import HEARTBEAT
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.sealed_json import read_sealed
+from taxinet_ros.trials.record.row import RunRow
 
 
 def table(runs: int, perception: str, early_fails: bool) -> pd.DataFrame:

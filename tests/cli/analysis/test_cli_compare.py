@@ -12,9 +12,9 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
-from taxinet_ros.campaign.past_runs.shared_scenes import scenes_of
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.files.sealed_table import is_sealed_table
+from taxinet_ros.trials.past_runs.shared_scenes import scenes_of
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
 WET = """

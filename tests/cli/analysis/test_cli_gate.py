@@ -14,18 +14,18 @@ from campaign_records import write_campaign
 from taxinet_ros.analysis import network_check
 from taxinet_ros.analysis.network_check import NetworkCheck, fixed_scenes, scenes_digest
 from taxinet_ros.analysis.runs.campaign import read_runs
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.past_runs.trials import Trial
-from taxinet_ros.campaign.record.book import finished_row, run_request
-from taxinet_ros.campaign.record.facts import campaign_facts
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.cli.analysis import check
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.record import RECORD_NAME, read_record
+from taxinet_ros.scenes.programs import find_program
+from taxinet_ros.scenes.source import program_text
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.past_runs.trials import Trial
+from taxinet_ros.trials.record.book import finished_row, run_request
+from taxinet_ros.trials.record.facts import campaign_facts
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
 

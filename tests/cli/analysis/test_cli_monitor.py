@@ -19,9 +19,9 @@ from taxinet_ros.bag.check.judge import judge_bags, judge_runs
 from taxinet_ros.bag.run.judging import BagVerdict, judge_spec
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import run_samples
-from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 
 SOON = 'soon=F[0, 1] G abs(cte) <= 3'
 WORDS = [

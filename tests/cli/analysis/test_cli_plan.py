@@ -10,13 +10,13 @@ import pytest
 
 from taxinet_ros.analysis.gate import GateOptions, Look, Verdict, gate_result
 from taxinet_ros.analysis.plan import Claim, hopeless, plan_claim
-from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.campaign.record.content import CampaignContent
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.trials.record.content import CampaignContent
+from taxinet_ros.trials.record.row import RunRow
 
 CLAIM = Claim(criterion='min-satisfaction', threshold=0.9)
 

@@ -10,7 +10,7 @@ import pytest
 from taxinet_process import taxinet
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 
 SEARCH = (
     'nominal', '--runs', '6', '--perception', 'truth', '--set', 'duration=1', '--seed', '4',

@@ -15,9 +15,9 @@ from process_table import gone
 from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.facts import read_facts
-from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.facts import read_facts
+from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 
 pytestmark = pytest.mark.ros
 
@@ -165,7 +165,7 @@ def test_given_a_killed_loop_then_the_rows_are_the_same(whole, tmp_path):
         wait_for(lambda: results(out) >= 1)
         loops = [
             child.pid for child in psutil.Process(search.pid).children()
-            if 'taxinet_ros.campaign.loop_worker' in child.cmdline()
+            if 'taxinet_ros.trials.loop_worker' in child.cmdline()
         ]
         os.kill(loops[0], signal.SIGKILL)
         stdout, _ = search.communicate()

@@ -9,15 +9,15 @@ import pytest
 from taxinet_process import taxinet
 
 from taxinet_ros.analysis.runs.campaign import read_runs, runs_of
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.past_runs.localisation import make_localize_options
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.resumption import facts_of_graph
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.run.commands import falsify
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.past_runs.localisation import make_localize_options
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.resumption import facts_of_graph
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = pytest.mark.ros
 

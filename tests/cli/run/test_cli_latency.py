@@ -8,13 +8,6 @@ import pytest
 from taxinet_process import taxinet
 
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.facts import read_facts
-from taxinet_ros.campaign.record.resumption import earlier_runs
-from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.campaign.shrink.options import make_shrink_options
-from taxinet_ros.campaign.shrink.shrinking import Shrinking
 from taxinet_ros.cli.bag.rerun import check_options
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.perception.perception import GroundTruth
@@ -22,6 +15,13 @@ from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.nodes.graph.runner import campaign_graph
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.facts import read_facts
+from taxinet_ros.trials.record.resumption import earlier_runs
+from taxinet_ros.trials.record.table import read_table
+from taxinet_ros.trials.shrink.options import make_shrink_options
+from taxinet_ros.trials.shrink.shrinking import Shrinking
 
 pytestmark = pytest.mark.ros
 

@@ -20,8 +20,8 @@ from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.record.facts import read_facts
-from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.trials.record.facts import read_facts
+from taxinet_ros.trials.record.table import read_table
 
 EXAMPLES = Path(__file__).parents[3] / 'examples'
 PERCEPTION, CONTROLLER = (

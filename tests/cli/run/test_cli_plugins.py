@@ -103,7 +103,7 @@ def test_given_code_that_takes_other_arguments_then_it_cannot_be_used(
     plugins, tmp_path: Path, point: str, name: str, words: str
 ) -> None:
     code = (
-        'from taxinet_ros.campaign.samplers.registry import SamplerKind, proposer_kind\n'
+        'from taxinet_ros.samplers.registry import SamplerKind, proposer_kind\n'
         'def both(one, two):\n    return one\n'
         'class Both:\n    def __call__(self, one, two):\n        return one\n'
         'KIND = SamplerKind(meaning="two", make=both)\n'

@@ -11,7 +11,7 @@ from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.record.content import read_campaign
+from taxinet_ros.trials.record.content import read_campaign
 
 
 def test_given_a_program_when_run_then_there_are_lines_a_table_a_record_and_bags(tmp_path):

@@ -13,7 +13,7 @@ from taxinet_process import begun, taxinet
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.trials.record.table import read_table
 
 # Fails where the aircraft starts more than 2.05 m off, in rain or not: ground truth sees no rain.
 SPEC = 'near=always(abs(cte) <= 2.05)'

@@ -5,9 +5,9 @@ import json
 import pytest
 from taxinet_process import taxinet_apart
 
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.core.perception.weights import SHIPPED, load_model
 from taxinet_ros.files.record import RECORD_NAME, read_record
+from taxinet_ros.trials.record.table import read_table
 
 WET = """
 model runway_world

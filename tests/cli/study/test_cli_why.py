@@ -12,8 +12,6 @@ from recorded_runs import record_runs
 
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.perception.weights import SHIPPED, card_path
@@ -31,6 +29,8 @@ from taxinet_ros.study.why.investigation import (
 )
 from taxinet_ros.study.why.plan import Budget
 from taxinet_ros.study.why.verdict import Blames, Fault, judge
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import write_tables
 
 pytestmark = pytest.mark.nightly
 

@@ -27,15 +27,15 @@ from taxinet_ros.analysis.causes.program import (
 from taxinet_ros.analysis.causes.region import Interval, Region
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.scenes.source import sample_scenarios
 from taxinet_ros.cli.study.why import _actions
+from taxinet_ros.scenes.source import sample_scenarios
 from taxinet_ros.study.why.investigation import Investigation, _of_runs
 from taxinet_ros.study.why.plan import Budget
 from taxinet_ros.study.why.verdict import Blames, CauseEvidence, judge
 from taxinet_ros.training.data.dataset import draw_scenes
 from taxinet_ros.training.data.photographs import photograph
 from taxinet_ros.training.data.portions import parse_portion
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 
 LIB = 'import math\ndef across(metres):\n    return metres * math.cos(0.3)\n'
 MINE = """model runway_world

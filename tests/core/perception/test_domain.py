@@ -11,7 +11,6 @@ import yaml
 from onnx_samples import described
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.options import make_options
 from taxinet_ros.core.perception.domain import (
     domain_doubts,
     domain_of_scenes,
@@ -26,6 +25,7 @@ from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section
+from taxinet_ros.trials.options import make_options
 
 
 def scenes(*values):

@@ -10,8 +10,6 @@ import pytest
 import yaml
 
 from taxinet_ros.analysis.runs.features import BY_NAME
-from taxinet_ros.campaign.options import split_settings
-from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.core.camera.airframe import covering_doubts, drawing
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -19,6 +17,8 @@ from taxinet_ros.core.rig.catalogue import CAMERAS, WING, find_aircraft, load_ca
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.source import SceneSource
+from taxinet_ros.trials.options import split_settings
 
 SCENE = {'time_of_day_h': 15.0, 'distance_m': 300.0}
 

@@ -12,11 +12,11 @@ import pytest
 from campaign_records import write_campaign
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.perception.weights import SHIPPED, load_card
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.extras.assurance import judge as judging
+from taxinet_ros.trials.record.row import RunRow
 
 PROGRAM = '# --- planted.scenic ---\nmodel runway_world\n# --- runway_world.scenic ---\nego = 1\n'
 SHA = {

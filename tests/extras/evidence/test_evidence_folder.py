@@ -14,9 +14,6 @@ import pytest
 from planted_evidence import FAIL, PASS, judged_monitor, planted
 
 import taxinet_ros as tx
-from taxinet_ros.campaign.past_runs.localisation import make_localize_options
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.campaign.record.content import BEGUN, run_key
 from taxinet_ros.cli.analysis.localize import run_localize
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.evidence import verify as verifying
@@ -24,6 +21,9 @@ from taxinet_ros.extras.evidence.argument import goals, mermaid, parse_argument
 from taxinet_ros.extras.evidence.evidence import manifest_text
 from taxinet_ros.extras.evidence.verify import value_differences, verify
 from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.trials.past_runs.localisation import make_localize_options
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.trials.record.content import BEGUN, run_key
 
 TAXINET = Path(sys.executable).with_name('taxinet')
 NAMES = {'MANIFEST', 'argument.mmd', 'evidence.html', 'evidence.json'}

@@ -14,7 +14,6 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.cli.main import main
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.forecast.forecast import (
@@ -31,6 +30,7 @@ from taxinet_ros.extras.forecast.forecast import (
     write_forecast,
 )
 from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 
 # Starts at 1 to 2.4 m, three of four of which come back soon enough; truth, so that it is quick.
 PROGRAM = """model runway_world

@@ -11,9 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.options import DEFAULT_JUDGING
-from taxinet_ros.campaign.past_runs.shared_scenes import SceneSet, scenes_of_program
-from taxinet_ros.campaign.past_runs.trials import Trial
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.errors import UsageError
@@ -26,6 +23,9 @@ from taxinet_ros.extras.tune.tuning import (
     varied_gains,
 )
 from taxinet_ros.files.record import RECORD_NAME, read_record
+from taxinet_ros.trials.options import DEFAULT_JUDGING
+from taxinet_ros.trials.past_runs.shared_scenes import SceneSet, scenes_of_program
+from taxinet_ros.trials.past_runs.trials import Trial
 
 
 def trial(number: int, rho: float | None) -> Trial:

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from campaign_records import write_campaign
 
-from taxinet_ros.campaign.options import CampaignOptions, make_options
-from taxinet_ros.campaign.record.book import finished_row, rejected_row, run_request
-from taxinet_ros.campaign.record.facts import campaign_facts
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import program_text
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
+from taxinet_ros.scenes.programs import find_program
+from taxinet_ros.scenes.source import program_text
+from taxinet_ros.trials.options import CampaignOptions, make_options
+from taxinet_ros.trials.record.book import finished_row, rejected_row, run_request
+from taxinet_ros.trials.record.facts import campaign_facts
+from taxinet_ros.trials.record.row import RunRow
 
 COUNTS = {
     Outcome.PASS: 24, Outcome.FAIL: 12, Outcome.REJECTED: 2, Outcome.INFRA_ERROR: 3,

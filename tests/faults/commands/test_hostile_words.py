@@ -17,16 +17,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.bag.layout import run_folder
-from taxinet_ros.campaign.record.book import run_name
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.campaign.scenes.programs import shipped_folder
 from taxinet_ros.cli.main import main
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PERCEPTION
 from taxinet_ros.nodes.lockstep.perception import PerceptionNode
+from taxinet_ros.scenes.programs import shipped_folder
+from taxinet_ros.trials.record.book import run_name
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.table import read_table
 
 HOSTILE = [
     '=HYPERLINK("http://x")', '+1', '-1', '@x', '<script>alert(1)</script>', '"><img src=x>',

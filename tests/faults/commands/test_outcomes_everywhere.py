@@ -18,12 +18,12 @@ from taxinet_ros.analysis.experiment.report import (
     experiment_sentences,
 )
 from taxinet_ros.analysis.report.page import write_report_page
-from taxinet_ros.campaign.experiment import read_experiment
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.table import read_table
-from taxinet_ros.campaign.summary import campaign_summary, row_line
 from taxinet_ros.cli.main import main
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.trials.experiment import read_experiment
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.table import read_table
+from taxinet_ros.trials.summary import campaign_summary, row_line
 
 WORDS = '24 PASS, 12 FAIL, 2 REJECTED, 3 INFRA_ERROR (2 timeout, 1 died), 1 INTERRUPTED'
 UNJUDGED = '3 INFRA_ERROR (2 timeout, 1 died), 1 INTERRUPTED, 2 REJECTED'

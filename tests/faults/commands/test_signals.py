@@ -14,9 +14,9 @@ from process_table import children, gone
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.processes.interrupts import interrupts, interrupts_delayed, raise_interrupt
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 

@@ -10,10 +10,10 @@ from command_process import ended, small_disk, taxinet
 from graph_runs import request, run, steps_in
 
 from taxinet_ros.bag.rewrite.recovery import recover
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import RECORDER
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 

@@ -24,11 +24,11 @@ from waiting import wait_for
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.record.content import read_campaign
-from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 

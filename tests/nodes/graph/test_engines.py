@@ -13,8 +13,6 @@ from own_place import OWN_PLACE
 from plugins import lay_down
 
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.audit import bag_difference, result_difference
-from taxinet_ros.campaign.loop_run import Loop, LoopOptions
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_latency
 from taxinet_ros.core.provenance import provenance
@@ -26,6 +24,8 @@ from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.world import find_world
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.trials.audit import bag_difference, result_difference
+from taxinet_ros.trials.loop_run import Loop, LoopOptions
 
 pytestmark = pytest.mark.ros
 

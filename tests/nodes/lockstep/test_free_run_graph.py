@@ -12,8 +12,6 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.facts import free_account
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.judged_run import find_run
-from taxinet_ros.campaign.shrink.options import make_shrink_options
 from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
@@ -22,6 +20,8 @@ from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
+from taxinet_ros.trials.past_runs.judged_run import find_run
+from taxinet_ros.trials.shrink.options import make_shrink_options
 
 pytestmark = pytest.mark.ros
 

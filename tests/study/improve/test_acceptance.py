@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from taxinet_ros.analysis.causes.region import Interval, Region
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.study.improve.acceptance import _bound, _score, decide
+from taxinet_ros.trials.record.row import RunRow
 
 pytestmark = pytest.mark.nightly
 

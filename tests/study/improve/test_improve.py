@@ -7,7 +7,6 @@ import pytest
 from network_samples import card_of, random_weights, save_sample
 from recorded_runs import record_runs
 
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -16,6 +15,7 @@ from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.study.improve.loop import BEST, improve_network
 from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
 from taxinet_ros.study.stages.run import StoppedError
+from taxinet_ros.trials.record.row import RunRow
 
 RUNS = 40
 

@@ -10,11 +10,11 @@ import pandas as pd
 
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting
 from taxinet_ros.analysis.runs.features import scene_columns
-from taxinet_ros.campaign.learned_result import LearnedResult
-from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.campaign.scenes.search_space import Choice, Piece
+from taxinet_ros.samplers.space import Dimension
+from taxinet_ros.scenes.search_space import Choice, Piece
 from taxinet_ros.study.report.results import Network, Results
 from taxinet_ros.study.stages.plan import NETWORKS
+from taxinet_ros.trials.learned_result import LearnedResult
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 CHOICE = Choice(

@@ -11,17 +11,17 @@ import pandas as pd
 from planted_runs import planted_table
 from recorded_runs import record_runs
 
-from taxinet_ros.campaign.learned_result import Evidence, LearnedResult
-from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.campaign.scenes.search_space import Choice, Piece
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.samplers.space import Dimension
+from taxinet_ros.scenes.search_space import Choice, Piece
 from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config
 from taxinet_ros.study.stages.plan import LOCALIZE, PAPER_RULE, campaign_of, search_of
 from taxinet_ros.study.stages.record import OPTIONS, STAGE, StageRecord, open_study
+from taxinet_ros.trials.learned_result import Evidence, LearnedResult
+from taxinet_ros.trials.record.row import RunRow
 
 RUNS = 900
 FAILING: dict[str, Callable[[pd.DataFrame], object]] = {

@@ -12,16 +12,16 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.bag.check.compare import same_stack
-from taxinet_ros.campaign.rates import rate
-from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.cli.study.case_study import report_case_study
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.source import SceneSource
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
 from taxinet_ros.study.report.report import gather_findings
 from taxinet_ros.study.report.results import LEARNED, Results, read_tables
 from taxinet_ros.study.report.tables import distances_frame, networks_frame
 from taxinet_ros.study.stages.config import read_config, shipped_config
 from taxinet_ros.study.stages.plan import learned_program
+from taxinet_ros.trials.rates import rate
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCS = (ROOT / 'docs' / 'case_study.md').read_text()

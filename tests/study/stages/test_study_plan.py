@@ -10,11 +10,11 @@ import pytest
 from studies import smoke_config
 from typer.main import get_command
 
-from taxinet_ros.campaign.samplers.registry import SAMPLERS
-from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.cli.main import app
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import UsageError
+from taxinet_ros.samplers.registry import SAMPLERS
+from taxinet_ros.scenes.programs import find_program, shipped_folder
 from taxinet_ros.study.stages.config import read_config, shipped_config
 from taxinet_ros.study.stages.plan import (
     NETWORKS,

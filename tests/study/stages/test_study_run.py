@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from studies import asked, run_study, sittings_of, smoke_config, stand_in
 
-from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.cli.study.case_study import run_case_study
 from taxinet_ros.errors import InfraError, RecordError, UsageError
 from taxinet_ros.files.record import RECORD_NAME
@@ -22,6 +21,7 @@ from taxinet_ros.study.stages.record import StageRecord, open_study, read_stages
 from taxinet_ros.study.stages.run import StudyRun
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.training.data import unfinished
+from taxinet_ros.trials.doctor import examine
 
 RUN = """
 import sys

@@ -5,13 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.analysis.causes.region import Interval, Kinds, Region
-from taxinet_ros.campaign.experiment import read_experiment
-from taxinet_ros.campaign.run_command import RunSettings
-from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.core.pacing.timing import parse_latency
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
+from taxinet_ros.scenes.source import SceneSource
 from taxinet_ros.study.why.plan import (
     LEAST_BUDGET,
     Budget,
@@ -23,6 +21,8 @@ from taxinet_ros.study.why.plan import (
     region_change,
     why_no_experiment,
 )
+from taxinet_ros.trials.experiment import read_experiment
+from taxinet_ros.trials.run_command import RunSettings
 
 
 @given(st.integers(LEAST_BUDGET, 5000), st.integers(1, 9))

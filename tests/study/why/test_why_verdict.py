@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 import typer
 
-from taxinet_ros.campaign.run_command import RunSettings
 from taxinet_ros.cli.main import app
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.study.why.verdict import (
@@ -22,6 +21,7 @@ from taxinet_ros.study.why.verdict import (
     judge,
     trainable,
 )
+from taxinet_ros.trials.run_command import RunSettings
 
 HELPS = Paired(words='dry', scenes=32, before=0, after=28, difference=0.875, low=0.69, high=0.95,
                p=7e-9)

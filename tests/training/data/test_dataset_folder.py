@@ -16,13 +16,12 @@ import pytest
 from numpy.typing import NDArray
 from training_samples import SCENES
 
-from taxinet_ros.campaign.doctor import examine
-from taxinet_ros.campaign.scenes.programs import find_program
-from taxinet_ros.campaign.scenes.source import program_digest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.scenes.programs import find_program
+from taxinet_ros.scenes.source import program_digest
 from taxinet_ros.training.data import dataset_folder as folder
 from taxinet_ros.training.data import photographs as rendering
 from taxinet_ros.training.data import unfinished
@@ -31,6 +30,7 @@ from taxinet_ros.training.data.dataset_folder import DatasetOptions, write_datas
 from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.photographs import photograph
 from taxinet_ros.training.data.unfinished import NAME
+from taxinet_ros.trials.doctor import examine
 
 
 @pytest.fixture(autouse=True)

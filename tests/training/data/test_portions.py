@@ -9,7 +9,6 @@ import pytest
 from campaign_records import write_campaign
 
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -23,6 +22,7 @@ from taxinet_ros.training.data.portions import (
     portion_seed,
     record_digest,
 )
+from taxinet_ros.trials.record.row import RunRow
 
 GOLDEN = Path(__file__).resolve().parents[3] / 'bags' / 'golden' / 'original-early-light'
 

@@ -1,0 +1,316 @@
+"""Runs of a campaign in this process, without ROS: rows and bags equal the graph's to the byte.
+
+The closed loop is that of :mod:`taxinet_ros.core.loop`; its messages are written as the recorder
+node writes them. A run that breaks names the node that would have failed in the graph.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.bag.layout import run_folder
+from taxinet_ros.bag.rewrite.frames import restore_in_place
+from taxinet_ros.bag.run.run_bag import MIN_FREE_BYTES, RunBag, RunEnding, node_words
+from taxinet_ros.core import topics
+from taxinet_ros.core.assurance.switch import make_controller
+from taxinet_ros.core.control_step import Observation
+from taxinet_ros.core.loop import Step, run_closed_loop
+from taxinet_ros.core.motion.controller import Controller, SteeringGains
+from taxinet_ros.core.pacing.timing import Timing
+from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System
+from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.verdict.judge import Judgement
+from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, RunResult, outcome_of
+from taxinet_ros.core.world import ChosenWorld, World, close_world, find_world
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.trials.options import CampaignOptions
+from taxinet_ros.trials.record.facts import program_attachment
+
+OnStep = Callable[[int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopOptions(System):
+    """A system that runs in a loop, and where its bags go.
+
+    Attributes:
+        out: folder of the campaign, which exists; None: no bags.
+        images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
+    """
+
+    out: Path | None
+    images: str
+
+
+def campaign_loop(campaign: CampaignOptions, system: System) -> LoopOptions:
+    """Options of the loops of a campaign, with its recorded system."""
+    return LoopOptions(
+        **vars(system), out=campaign.out if campaign.bags else None, images=campaign.images
+    )
+
+
+class Loop:
+    """Executes requested runs one by one.
+
+    Attributes:
+        interrupted: set to end the current run at its next control step; see :meth:`run`.
+    """
+
+    def __init__(self, options: LoopOptions) -> None:
+        """Load perception, controller and world.
+
+        Raises:
+            UsageError: one of them cannot be used, or has changed since the campaign began.
+        """
+        self.interrupted = False
+        self._options = options
+        self._perception = make_perception(options.perception)
+        self._controller = make_controller(options.controller, SteeringGains(**options.gains))
+        if self._controller.fingerprint != options.controller_sha256:
+            raise UsageError(
+                f'controller {options.controller} has changed since this began; put it back'
+            )
+        self._world = find_world(options.world, options.world_sha256)
+
+    def run(self, request: RunRequest, on_step: OnStep = lambda seq: None) -> RunResult:
+        """Run a request.
+
+        Args:
+            request: the requested run.
+            on_step: called with the number of every control step.
+
+        Returns:
+            The same result as from a graph, except for the time that it took; INTERRUPTED if it
+            was :attr:`interrupted`.
+        """
+        begun_s = time.monotonic()
+        watched = _Watched(self._perception, self._controller, self._world)
+        try:
+            with _blamed(topics.RECORDER, InfraKind.BAG):
+                bag = self._open_bag(request)
+            result = self._run(request, watched, bag, on_step)
+        except InfraError as error:  # of the recording
+            result = RunResult.infra_error(error.kind, error.who, error.detail, watched.seq)
+        return replace(
+            result, perception=self._perception.word, fingerprint=self._perception.fingerprint,
+            wall_s=time.monotonic() - begun_s,
+        )
+
+    def _run(
+        self, request: RunRequest, watched: _Watched, bag: RunBag | None, on_step: OnStep
+    ) -> RunResult:
+        if bag is None:
+            return self._drive(request, watched, lambda step: on_step(watched.seq))[0]
+        filmed = self._options.images == 'all'
+
+        def record(step: Step) -> None:
+            with _blamed(topics.RECORDER, InfraKind.BAG):
+                bag.step(step, step.observation.image if filmed else None)
+            on_step(watched.seq)
+
+        try:
+            result, judged = self._drive(request, watched, record, filmed=filmed)
+            with _blamed(topics.RECORDER, InfraKind.BAG):
+                if not watched.complete and watched.now is not None:
+                    picture = watched.now.image if filmed else None
+                    bag.torn_step(watched.now, picture, watched.estimate)
+                bag.end(self._ending(result), result.last_seq, judged)
+        except BaseException:
+            bag.abandon()
+            raise
+        return self._with_frames(bag, result, on_step)
+
+    def _drive(
+        self, request: RunRequest, watched: _Watched, on_step: Callable[[Step], None], *,
+        filmed: bool = False,
+    ) -> tuple[RunResult, Judgement | None]:
+        """Drive the closed loop to its end; the judgement is None if it broke."""
+        def make_world(scenario: Scenario, *, pictures: bool = True) -> World:
+            return watched.world(scenario, pictures=pictures or filmed)
+
+        def take(step: Step) -> None:
+            watched.complete = True
+            on_step(step)
+            if self.interrupted:
+                raise _InterruptedError
+
+        judging = request.judging
+        try:
+            judged = run_closed_loop(
+                request.scenario, watched.perception, specs=judging.parsed_specs,
+                controller=watched.controller, stop_on=judging.stop_on,
+                assumptions=judging.assumptions, on_step=take, timing=self._options.timing,
+                draws=(request.seed, request.index), make_world=make_world,
+            )
+        except _InterruptedError:
+            return RunResult(outcome=Outcome.INTERRUPTED, last_seq=watched.seq), None
+        except InfraError as error:
+            if error.who == topics.RECORDER:
+                raise
+            return RunResult.infra_error(error.kind, error.who, error.detail, watched.seq), None
+        return _judged(request, judged, watched.seq, self._options.timing), judged
+
+    def _open_bag(self, request: RunRequest) -> RunBag | None:
+        options = self._options
+        if options.out is None:
+            return None
+        nodes = node_words(self._perception, self._controller, self._world, options.timing)
+        return RunBag(
+            run_folder(options.out, request.run_id), request, nodes,
+            images=options.images == 'all',
+            attachments=program_attachment(request.program, options.out), make_parents=False,
+        )
+
+    def _ending(self, result: RunResult) -> RunEnding:
+        return RunEnding(
+            outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
+            perception=self._perception.word, fingerprint=self._perception.fingerprint,
+        )
+
+    def _with_frames(self, bag: RunBag, result: RunResult, on_step: OnStep) -> RunResult:
+        """Add the camera frames of a failed run, if they are recorded for failures only."""
+        failed = result.outcome in (Outcome.FAIL, Outcome.INFRA_ERROR)
+        if self._options.images != 'failures' or not failed:
+            return result
+        try:
+            for seq in restore_in_place(bag.folder, MIN_FREE_BYTES):
+                on_step(seq)
+        except Exception as error:
+            if result.outcome.judged:  # an infrastructure error has its own reason to report
+                detail = f'frames not kept: {_one_line(error)}'
+                return RunResult.infra_error(
+                    InfraKind.BAG, topics.RECORDER, detail, result.last_seq
+                )
+        return result
+
+
+def _judged(request: RunRequest, judged: Judgement, seq: int, timing: Timing) -> RunResult:
+    outcome = outcome_of(judged)
+    if not outcome.judged:
+        return RunResult.infra_error(last_seq=seq, **NOT_JUDGED)
+    readings = zip(request.judging.parsed_specs, judged.readings, strict=True)
+    return RunResult(
+        outcome=outcome, last_seq=seq,
+        robustness={spec.name: reading.interval for spec, reading in readings},
+        stopped_early=judged.stopped_early, statistics=judged.statistics, timing=timing.words,
+    )
+
+
+class _InterruptedError(Exception):
+    """The run is to end at this step."""
+
+
+class _Watched:
+    """The parts of one run; each failure names the node of the graph that has the part.
+
+    Attributes:
+        perception, controller: the parts.
+        now: observation of the current control step, or None before the first.
+        estimate: estimate of the current step, or None.
+        complete: whether the current step is complete.
+    """
+
+    def __init__(
+        self, perception: Perception, controller: Controller, world: ChosenWorld
+    ) -> None:
+        self.perception = _Eyes(self, perception)
+        self.controller = _Hands(controller)
+        self.now: Observation | None = None
+        self.estimate: TrackingError | None = None
+        self.complete = False
+        self._world = world
+
+    def world(self, scenario: Scenario, *, pictures: bool) -> World:
+        """Make the world of the run."""
+        return _Scene(self, self._world, scenario, pictures=pictures)
+
+    @property
+    def seq(self) -> int:
+        """The current control step, -1 before the first."""
+        return -1 if self.now is None else self.now.seq
+
+
+class _Scene(World):
+    def __init__(
+        self, watched: _Watched, chosen: ChosenWorld, scenario: Scenario, *, pictures: bool
+    ) -> None:
+        self._watched = watched
+        with _blamed(topics.SIMULATOR, InfraKind.SIM):
+            self._world = chosen.make(scenario, pictures=pictures)
+        self.last_seq = self._world.last_seq
+
+    def observe(self, *, picture: bool = True) -> Observation:
+        with _blamed(topics.SIMULATOR, InfraKind.SIM):
+            now = self._world.observe(picture=picture)
+        watched = self._watched
+        watched.now, watched.estimate, watched.complete = now, None, False
+        return now
+
+    def advance(self, command: TaxiCommand) -> None:
+        with _blamed(topics.SIMULATOR, InfraKind.SIM):
+            self._world.advance(command)
+
+    def close(self) -> None:
+        with _blamed(topics.SIMULATOR, InfraKind.SIM):
+            close_world(self._world)
+
+
+class _Eyes(Perception):
+    def __init__(self, watched: _Watched, perception: Perception) -> None:
+        self._watched, self._perception = watched, perception
+        self.word, self.fingerprint = perception.word, perception.fingerprint
+        self.needs_image = perception.needs_image
+
+    def begin(self) -> None:
+        with _blamed(topics.PERCEPTION):
+            self._perception.begin()
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        with _blamed(topics.PERCEPTION):
+            found = self._perception.estimate(image, truth)
+        self._watched.estimate = found
+        return found
+
+
+class _Hands(Controller):
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.word, self.fingerprint = controller.word, controller.fingerprint
+        self.needs_image = controller.needs_image
+
+    def begin(self, scenario: Scenario | None = None) -> None:
+        with _blamed(topics.STEERING_CONTROLLER):
+            self._controller.begin(scenario)
+
+    def see(self, image: NDArray[np.uint8]) -> None:
+        self._controller.see(image)
+
+    def command(self, estimate: TrackingError) -> TaxiCommand:
+        with _blamed(topics.STEERING_CONTROLLER):
+            return self._controller.command(estimate)
+
+
+@contextmanager
+def _blamed(node: str, kind: InfraKind = InfraKind.NODE_ERROR) -> Iterator[None]:
+    """Context in which a part runs; its failure is an infrastructure error of its node."""
+    try:
+        yield
+    except InfraError:
+        raise
+    except Exception as error:
+        raise InfraError(kind, node, -1, _one_line(error)) from error
+
+
+def _one_line(error: BaseException) -> str:
+    return f'{type(error).__name__}: {error}'.splitlines()[0]

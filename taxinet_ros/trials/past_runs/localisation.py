@@ -1,0 +1,218 @@
+"""Localise faults: rerun a campaign's failed runs with the truth instead of the network.
+
+Trials run in worker processes, each with a substitute for the network, and are kept in the folder:
+the same command continues after an interrupt, also with more runs or other substitutions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.assurance.switch import check_controller
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.perception.substituted import (
+    AS_RECORDED,
+    TRUTH,
+    TRUTH_CTE,
+    TRUTH_HEADING,
+    parse_substitution,
+)
+from taxinet_ros.core.system import digest_of
+from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.options import DEFAULT_ROOT
+from taxinet_ros.trials.past_runs.recorded_campaign import (
+    RecordedCampaign,
+    open_failed_campaign,
+    spread_evenly,
+)
+from taxinet_ros.trials.past_runs.shared_scenes import Scene, system_of
+from taxinet_ros.trials.past_runs.trials import (
+    Task,
+    Trial,
+    TrialRecord,
+    TrialSystem,
+    run_trials,
+)
+from taxinet_ros.trials.record.facts import recorded_world
+from taxinet_ros.trials.record.row import RunRow
+
+DEFAULT_WORDS = (TRUTH, TRUTH_HEADING, TRUTH_CTE)
+MOST_WORKERS = 64
+Trials = Mapping[tuple[str, str], Trial]
+"""Trials by run and name of the substitution."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalizeOptions:
+    """Options of a fault localisation.
+
+    Attributes:
+        campaign: campaign with the failed runs.
+        rows: rows of the failed runs to analyse.
+        words: names of the substitutions, the control first.
+        perception: word or file of the network.
+        workers: number of processes.
+        out: folder.
+    """
+
+    campaign: RecordedCampaign
+    rows: tuple[RunRow, ...]
+    words: tuple[str, ...]
+    perception: str
+    workers: int
+    out: Path
+
+    @property
+    def wanted(self) -> int:
+        """Total number of trials."""
+        return len(self.rows) * len(self.words)
+
+    @property
+    def system(self) -> TrialSystem:
+        """The campaign's system."""
+        return dataclasses.replace(system_of(self.campaign), perception=self.perception)
+
+
+def make_localize_options(
+    campaign: Path, *, runs: int | None, words: Iterable[str], workers: int, out: Path | None,
+    perception: str | None,
+) -> LocalizeOptions:
+    """Check the command-line arguments.
+
+    Args:
+        campaign: the campaign's folder.
+        runs: maximum number of failed runs to analyse, spread over all; None for all.
+        words: names of substitutions; :data:`DEFAULT_WORDS` if empty.
+        workers: number of processes.
+        out: folder; if None, one below ``bags/`` named after the campaign.
+        perception: the network's file if it was moved; None for the campaign's.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if not 1 <= workers <= MOST_WORKERS:
+        raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_WORKERS}')
+    if runs is not None and runs < 1:
+        raise UsageError(f'--runs {runs}: needs to be 1 or more')
+    chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
+    found = open_failed_campaign(campaign)
+    if is_free(found.timing):
+        raise UsageError(
+            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so trials cannot localise the fault; use '
+            'a campaign with --latency'
+        )
+    # Which reports a missing or changed package.
+    if again := find_world(*recorded_world(found.facts)).again_words:
+        raise UsageError(f'{campaign}: {again}, so trials cannot localise the fault')
+    if not found.judging.specs:
+        raise UsageError(f'{campaign}: its record does not have the formulas')
+    _check_controller(found)
+    return LocalizeOptions(
+        campaign=found, rows=spread_evenly(found.counterexamples, runs),
+        words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
+        perception=_network(found, perception), workers=workers,
+        out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
+    )
+
+
+def localize(
+    options: LocalizeOptions, on_trial: Callable[[int], None], interrupted: Callable[[], bool],
+) -> dict[tuple[str, str], Trial]:
+    """Run the missing trials.
+
+    Args:
+        options: options of the localisation.
+        on_trial: called with the number of completed trials, first with the earlier ones.
+        interrupted: returns whether to start no more trials.
+
+    Returns:
+        The requested trials that are complete.
+
+    Raises:
+        UsageError: the folder cannot be used, or contains trials of another campaign.
+        InfraError: a worker process died.
+    """
+    keys = {
+        (row.run_id, word): f'{word} {row.run_id} {digest_of(row.scene)}'
+        for row in options.rows for word in options.words
+    }
+    system = options.system
+    settings = {**_facts(options.campaign), 'system': system.digest}
+    other = 'contains trials of another campaign or network'
+    with TrialRecord(options.out, settings, Trial, other) as record:
+        found = {name: record.done[key] for name, key in keys.items() if key in record.done}
+        on_trial(len(found))
+        for trial in run_trials(_tasks(options, found, interrupted), system, options.workers):
+            record.keep(keys[trial.run_id, trial.word], trial)
+            found[trial.run_id, trial.word] = trial
+            on_trial(len(found))
+        return found
+
+
+def _facts(campaign: RecordedCampaign) -> dict[str, Any]:
+    """Facts by which the campaign is known."""
+    names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs')
+    return {
+        **{name: campaign.facts.get(name) for name in names},
+        'perception_sha256': campaign.counterexamples[0].fingerprint,
+    }
+
+
+def _tasks(
+    options: LocalizeOptions, done: Trials, interrupted: Callable[[], bool]
+) -> Iterator[Task]:
+    for row in options.rows:
+        missing = [word for word in options.words if (row.run_id, word) not in done]
+        if not missing:
+            continue
+        scenario, exact = options.campaign.scenario(row)
+        scene = Scene(row=row, scenario=scenario, exact=exact)
+        for word in missing:
+            if interrupted():
+                return
+            yield scene.task(word)
+
+
+def _network(campaign: RecordedCampaign, given: str | None) -> str:
+    """The network used by the campaign.
+
+    Raises:
+        UsageError: it cannot be found, or has changed.
+    """
+    first = campaign.counterexamples[0]
+    recorded = first.fingerprint
+    asked = str(campaign.facts.get('perception', ''))
+    word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
+    mend = f'name the file that {campaign.folder} was run with: --perception FILE'
+    try:
+        found = check_perception(word)
+    except UsageError as error:
+        raise UsageError(f'{error}; {mend}') from error
+    if found != recorded:
+        what = f'sha256 {found[:12]}…' if found else 'the truth'
+        before = f'sha256 {recorded[:12]}…' if recorded else 'the truth'
+        raise UsageError(f'perception {word} is {what}, the runs had {before}; {mend}')
+    return str(word)
+
+
+def _check_controller(campaign: RecordedCampaign) -> None:
+    """Check the campaign's controller.
+
+    Raises:
+        UsageError: it cannot be called here, or has changed.
+    """
+    word = str(campaign.facts.get('controller', STEERING))
+    found = check_controller(word, campaign.gains)
+    if found != (before := campaign.facts.get('controller_sha256', '')):
+        raise UsageError(
+            f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
+            'back as it was'
+        )

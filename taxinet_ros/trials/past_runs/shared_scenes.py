@@ -1,0 +1,362 @@
+"""Drive several networks through the same scenes, in the closed loop without ROS.
+
+The scenes are those of a recorded campaign, of a table, of a bag, or fresh draws of a program. Only
+the network differs between the runs of a scene, so runs are compared in pairs. Finished runs are
+kept in a record: the same command continues after an interrupt, also with more networks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from taxinet_ros.bag.layout import holds_bag
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.mtl import exact_intervals
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
+from taxinet_ros.core.perception.perception import GroundTruth, check_perception
+from taxinet_ros.core.perception.substituted import AS_RECORDED
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.system import digest_of
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.overrides import scenes_words
+from taxinet_ros.scenes.source import Rejected, SceneSource
+from taxinet_ros.trials.past_runs.judged_run import find_run
+from taxinet_ros.trials.past_runs.recorded_campaign import (
+    RecordedCampaign,
+    open_campaign,
+    spread_evenly,
+)
+from taxinet_ros.trials.past_runs.trials import (
+    Task,
+    Trial,
+    TrialRecord,
+    TrialSystem,
+    run_trials,
+)
+from taxinet_ros.trials.rates import sample_size_was_fixed
+from taxinet_ros.trials.record.facts import is_campaign, recorded_world
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.table import read_any_table
+from taxinet_ros.trials.record.table import table as table_of
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scene:
+    """One scene.
+
+    Attributes:
+        row: the run that it comes from: name, seed, index, and how it was chosen.
+        scenario: the scenario.
+        exact: whether it is bit-exact.
+    """
+
+    row: RunRow
+    scenario: Scenario
+    exact: bool
+
+    def task(self, word: str = AS_RECORDED, gains: Mapping[str, float] | None = None) -> Task:
+        """The trial of this scene; arguments as of :class:`Task`."""
+        return Task(
+            run_id=self.row.run_id, scenario=self.scenario, word=word, exact=self.exact,
+            seed=(self.row.seed, self.row.index), gains=gains,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSet:
+    """Scenes, and the system that drives them with different networks.
+
+    Attributes:
+        source: where they come from, as text.
+        scenes: the scenes, by index.
+        system: as in the recorded runs, with the truth in place of a network; the headline
+            requirement alone is judged.
+        fixed: whether their number did not depend on any result.
+    """
+
+    source: str
+    scenes: tuple[Scene, ...]
+    system: TrialSystem
+    fixed: bool = True
+
+    def system_with(self, network: str) -> TrialSystem:
+        """The system with a network."""
+        return dataclasses.replace(self.system, perception=network)
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """Digests of everything but the network that decides the results."""
+        return {
+            'system': self.system.digest,
+            'scenes': digest_of([
+                [scene.row.run_id, repr(scene.scenario)] for scene in self.scenes
+            ]),
+        }
+
+
+def system_of(campaign: RecordedCampaign) -> TrialSystem:
+    """The system of a campaign, with the truth in place of its network."""
+    world, package = recorded_world(campaign.facts)
+    return TrialSystem(
+        perception=GroundTruth.word, judging=campaign.judging, gains=dict(campaign.gains),
+        controller=str(campaign.facts.get('controller', STEERING)),
+        timing=parse_timing(campaign.timing), world=world, world_sha256=package,
+    )
+
+
+def _headline(judging: Judging) -> Judging:
+    return dataclasses.replace(judging, specs=judging.specs[:1])
+
+
+def _plain_system(judging: Judging) -> TrialSystem:
+    return TrialSystem(perception=GroundTruth.word, judging=_headline(judging))
+
+
+def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
+    """The scenes of a campaign, of a table, or of one run.
+
+    Args:
+        path: folder of a campaign, a ``.parquet`` table, or the bag of a run.
+        runs: at most so many, evenly spread over all; None for all.
+
+    Raises:
+        UsageError: it is none of these, or its runs cannot be repeated.
+    """
+    if is_campaign(path):
+        return _of_campaign(path, runs)
+    if path.suffix == '.parquet' and path.is_file():
+        return _of_table(path, runs)
+    if is_campaign(path.parent) or (path.is_dir() and holds_bag(path)):
+        return _of_run(path)
+    raise UsageError(f'{path}: neither the folder of a campaign, nor a table, nor the bag of a run')
+
+
+def _of_campaign(path: Path, runs: int | None) -> SceneSet:
+    campaign = open_campaign(path)
+    if is_free(campaign.timing):
+        raise UsageError(f'{path}: free runs: {NOT_REPRODUCIBLE}')
+    system = system_of(campaign)
+    if again := find_world(system.world, system.world_sha256).again_words:
+        raise UsageError(f'{path}: {again}, so its scenes cannot be compared')
+    if not campaign.judged:
+        raise UsageError(f'{path}: no run was judged, so it has no scenes to compare')
+    if not campaign.judging.specs:
+        raise UsageError(f'{path}: its record does not have the formulas')
+    scenes = []
+    for row in spread_evenly(campaign.judged, runs):
+        scenario, exact = campaign.scenario(row)
+        scenes.append(Scene(row=row, scenario=scenario, exact=exact))
+    outcomes = {row.index: row.outcome for row in campaign.rows}
+    return SceneSet(
+        source=str(path), scenes=tuple(scenes),
+        system=dataclasses.replace(system, judging=_headline(system.judging)),
+        fixed=sample_size_was_fixed(outcomes, campaign.planned_runs),
+    )
+
+
+def _of_table(path: Path, runs: int | None) -> SceneSet:
+    frame = read_any_table(path)
+    names = [str(name).removeprefix('rho_') for name in frame.columns
+             if str(name).startswith('rho_') and '.' not in str(name)]
+    if not names or names[0] not in SHIPPED:
+        raise UsageError(
+            f'{path}: a table has no text of its formula {names[0] if names else ""}; name the '
+            "campaign's folder"
+        )
+    timings = set(frame['timing'].dropna()) - {''} if 'timing' in frame.columns else set()
+    if timings:
+        raise UsageError(
+            f'{path}: runs with timing {min(timings)}, which a table does not describe in full; '
+            "name the campaign's folder"
+        )
+    outcomes = dict(zip(frame['index'].tolist(), frame['outcome'].tolist(), strict=True))
+    judged = frame[frame['outcome'].isin([Outcome.PASS, Outcome.FAIL])].sort_values('index')
+    scenes = [
+        Scene(row=row, scenario=scenario_from_human(row.scene), exact=False)
+        for row in (_row(values, names[0]) for values in judged.to_dict('records'))
+    ]
+    return SceneSet(
+        source=str(path), scenes=spread_evenly(scenes, runs),
+        system=_plain_system(Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',))),
+        fixed=sample_size_was_fixed(outcomes, None),
+    )
+
+
+def _row(values: Mapping[Any, Any], spec: str) -> RunRow:
+    """A row with what a table says of the scene; keys that it lacks have no effect."""
+    scene: dict[str, Any] = {}
+    usual = Scenario().to_human()
+    for known in SCENARIO_FIELDS:
+        value = values.get(known.key)
+        missing = value is None or value != value or value is pd.NA
+        scene[known.key] = usual[known.key] if missing else value
+    return RunRow(
+        run_id=str(values['run_id']), index=int(values['index']), program=str(values['program']),
+        seed=int(values.get('seed', 0)), perception=str(values['perception']),
+        outcome=Outcome(values['outcome']), sampler=str(values.get('sampler', '') or ''),
+        robustness=exact_intervals({spec: float(values[f'rho_{spec}'])}), **scene,
+    )
+
+
+def _of_run(path: Path) -> SceneSet:
+    run = find_run(path)
+    if run.timing.free:
+        raise UsageError(f'{path}: a free run: {NOT_REPRODUCIBLE}')
+    if again := find_world(run.world, run.world_fingerprint).again_words:
+        raise UsageError(f'{path}: {again}, so it cannot be repeated')
+    row = RunRow(
+        run_id=run.run_id, index=0, program='', seed=run.seed, perception=run.perception,
+        outcome=run.outcome if run.outcome.judged else Outcome.INTERRUPTED,
+        robustness=run.robustness if run.outcome.judged else {}, **run.scenario.to_human(),
+    ) if run.robustness or not run.outcome.judged else None
+    if row is None:
+        raise UsageError(f'{path}: its verdict is not recorded')
+    return SceneSet(
+        source=str(path), scenes=(Scene(row=row, scenario=run.scenario, exact=True),),
+        system=TrialSystem(
+            perception=GroundTruth.word, judging=Judging(specs=run.specs[:1]),
+            gains=dict(run.gains), controller=run.controller, timing=run.timing, world=run.world,
+            world_sha256=run.world_fingerprint,
+        ),
+    )
+
+
+def scenes_of_program(
+    program: str, *, runs: int, seed: int, judging: Judging, overrides: Mapping[str, str] = {},
+) -> SceneSet:
+    """Fresh scenes, drawn by the program itself.
+
+    Args:
+        program: word or path of a Scenic program.
+        runs: number of scenes.
+        seed: seed of the scenes.
+        judging: the requirement.
+        overrides: values that replace drawn ones, see :class:`SceneSource`.
+
+    Raises:
+        UsageError: the program is invalid, or rejects most of its scenes.
+    """
+    scenes: list[Scene] = []
+    rejected, name = 0, Path(program).stem
+    with SceneSource(program, seed=seed, overrides=overrides) as source:
+        while len(scenes) < runs:
+            index = len(scenes) + rejected
+            try:
+                scenario = source.scene(index)
+            except Rejected as error:
+                rejected += 1
+                if rejected > runs:
+                    raise UsageError(f'{error}; most scenes are rejected') from None
+                continue
+            row = RunRow(
+                run_id=f'{name}-s{seed}-{index:05d}', index=index,
+                program=scenes_words(name, overrides), seed=seed,
+                perception='', outcome=Outcome.INTERRUPTED, sampler='random',
+                **scenario.to_human(),
+            )
+            scenes.append(Scene(row=row, scenario=scenario, exact=True))
+    return SceneSet(source=program, scenes=tuple(scenes), system=_plain_system(judging))
+
+
+class SharedTrials(TrialRecord[Trial]):
+    """Runs of several networks on the same scenes, recorded in a folder. A context manager."""
+
+    def __init__(self, scenes: SceneSet, out: Path) -> None:
+        """Open or create the record in ``out``.
+
+        Raises:
+            UsageError: it contains something else, or another process uses it.
+        """
+        super().__init__(out, scenes.settings, Trial, 'has runs of other scenes or settings')
+        self.scenes = scenes
+
+    def drive(
+        self, network: str, wanted: Sequence[str] | None = None, *, workers: int,
+        on_trial: Callable[[], None] = lambda: None,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> dict[str, Trial]:
+        """Drive a network through the scenes that it has not been driven through.
+
+        Args:
+            network: word or file.
+            wanted: names of the scenes; None for all.
+            workers: number of processes.
+            on_trial: called after each run.
+            interrupted: whether to start no more runs.
+
+        Returns:
+            Its results so far by name of the scene.
+
+        Raises:
+            UsageError: there is no such network.
+            InfraError: a worker died.
+        """
+        fingerprint, done = check_perception(network), self._results(network)
+
+        def tasks() -> Iterator[Task]:
+            for scene in self.scenes.scenes:
+                name = scene.row.run_id
+                if name in done or (wanted is not None and name not in wanted):
+                    continue
+                if interrupted():
+                    return
+                yield scene.task()
+
+        for trial in run_trials(tasks(), self.scenes.system_with(network), workers):
+            self.keep(f'{fingerprint} {trial.run_id}', trial)
+            done[trial.run_id] = trial
+            on_trial()
+        return done
+
+    def _results(self, network: str) -> dict[str, Trial]:
+        fingerprint, known = check_perception(network), self.done
+        return {
+            name: trial for scene in self.scenes.scenes
+            if (trial := known.get(f'{fingerprint} {(name := scene.row.run_id)}')) is not None
+        }
+
+    def table(self, network: str) -> pd.DataFrame:
+        """Results of a network as a campaign's table; runs that were not judged are in it too."""
+        return table_of(self.rows(network), (self.scenes.system.judging.headline,))
+
+    def rows(self, network: str) -> list[RunRow]:
+        """Results of a network, by scene; runs that were not judged are among them."""
+        fingerprint = check_perception(network)
+        spec = self.scenes.system.judging.headline
+        rows: list[RunRow] = []
+        results = self._results(network)
+        for place, scene in enumerate(self.scenes.scenes):
+            if (trial := results.get(scene.row.run_id)) is not None:
+                row = _result_row(scene.row, trial, network, fingerprint, spec)
+                # Gaps would say that runs are missing; these scenes are all that were asked for.
+                row = dataclasses.replace(row, index=place) if self.scenes.fixed else row
+                rows.append(row)
+        return rows
+
+
+def _result_row(row: RunRow, trial: Trial, network: str, fingerprint: str, spec: str) -> RunRow:
+    known = trial.robustness
+    judged = trial.passed is not None and known is not None
+    outcome = Outcome.PASS if trial.passed else Outcome.FAIL
+    return dataclasses.replace(
+        row, perception=network, fingerprint=fingerprint,
+        outcome=outcome if judged else Outcome.INFRA_ERROR,
+        kind='' if judged else 'broken', detail='' if judged else trial.detail,
+        robustness={spec: known} if judged and known is not None else {},
+        stopped_early=known is not None and not known.exact, stopped_s=None,
+        left_runway=trial.left_runway, max_cross_track_m=trial.max_cross_track_m,
+        settle_time_s=trial.settle_time_s, bag='', cte_error_mean_m=None,
+        cte_error_mean_abs_m=None, cte_error_max_abs_m=None, he_error_mean_deg=None,
+        he_error_mean_abs_deg=None, he_error_max_abs_deg=None, unusable_estimates=None,
+    )

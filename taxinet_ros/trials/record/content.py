@@ -1,0 +1,104 @@
+"""Content of a campaign's record: facts, runs, and which of them have no result yet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.scenario_fields import CATALOGUES
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, Entries, Makers, read_record
+from taxinet_ros.trials.record.facts import BEGUN, FACTS, ROW, SPARE
+from taxinet_ros.trials.record.row import RunRow
+
+REQUIREMENT, DOCUMENT, END = 'requirement', 'document', 'end'
+"""Kinds of entries: a formula evaluated afterwards, a document that is not shipped, and that the
+campaign ended in good order after the last result."""
+
+
+def _row(values: Any) -> RunRow:
+    try:
+        return RunRow.from_json(values)
+    except (LookupError, TypeError, ValueError) as error:
+        raise UsageError(f'not a row of this version ({error})') from error
+
+
+MAKERS: Makers = {ROW: _row}
+"""What is made of the entries of a campaign."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CampaignContent:
+    """Content of a campaign's record.
+
+    Attributes:
+        facts: see :mod:`.facts`; empty if not yet written.
+        rows: the result of each run, by index.
+        attempts: number of starts of each run, by index.
+        added: formulas evaluated afterwards, by name; the rows contain their values.
+        finished: whether the campaign ended in good order after the last result.
+        documents: scenario key and reference of each document that it has in full.
+    """
+
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    rows: tuple[RunRow, ...] = ()
+    attempts: Mapping[int, int] = field(default_factory=dict)
+    added: Mapping[str, str] = field(default_factory=dict)
+    finished: bool = False
+    documents: frozenset[tuple[str, str]] = frozenset()
+
+    @property
+    def unfinished(self) -> tuple[int, ...]:
+        """Indices of runs that were started and have no result, ascending."""
+        return tuple(sorted(set(self.attempts) - {row.index for row in self.rows}))
+
+
+def read_campaign(folder: Path) -> CampaignContent:
+    """Read the record of a campaign, even while it is being written.
+
+    Raises:
+        UsageError: there is none, or it is damaged.
+    """
+    path = folder / RECORD_NAME
+    return campaign_content(path, read_record(path, MAKERS))
+
+
+def campaign_content(path: Path, entries: Entries) -> CampaignContent:
+    """Content of the entries of a record.
+
+    Args:
+        path: path of the record, for messages.
+        entries: the entries, with rows by :data:`MAKERS`.
+
+    Raises:
+        UsageError: an entry is not one of this version.
+    """
+    facts = entries.get(FACTS, {}) or entries.get(SPARE, {})
+    try:
+        documents = frozenset(
+            # Finding it makes it known, so that references in rows can be resolved.
+            (key, CATALOGUES[key].find(document).reference)
+            for key, document in entries.get(DOCUMENT, {}).values()
+        )
+        rows = dict(entries.get(ROW, {}))
+        added = entries.get(REQUIREMENT, {})
+        for name, values in added.items():
+            for key, ends in values['intervals'].items():
+                if key in rows:  # else it was lost, and is made again
+                    rows[key] = rows[key].also_judged(name, RobustnessInterval(*ends))
+        return CampaignContent(
+            facts=next(iter(facts.values()), {}), rows=tuple(rows.values()),
+            attempts={int(key): attempts for key, attempts in entries.get(BEGUN, {}).items()},
+            added={name: values['formula'] for name, values in added.items()},
+            finished=END in entries, documents=documents,
+        )
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise UsageError(f'{path}: not a record of this version ({error})') from error
+
+
+def run_key(index: int) -> str:
+    """Key of a run's entries; as text, keys are in the order of the indices."""
+    return f'{index:09d}'

@@ -1,0 +1,393 @@
+"""Options of shrinking a failed run, and the scenarios that it may run.
+
+The run's parameters are moved in steps towards nominal, as defined by the shipped program
+``nominal``: on the centreline, straight ahead, under a clear dry sky at 10 h (a high sun that casts
+the aircraft's shadow beside it, in the hours at which both shipped networks were trained), on a
+stretch without rubber and away from the crossing. There are two such stretches; the one on the
+run's side of the crossing is used, because otherwise the path to nominal would lead across it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.assurance.switch import check_controller
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    CAMERA_OFFSETS,
+    DRAWN_FAULTS,
+    FAULT_ONSET,
+    FAULT_SEED,
+    FAULTS,
+    GUST,
+    GUST_SEED,
+    PUSHING_FIELDS,
+    RAIN_CLOUDS,
+    TRAFFIC,
+    WIND_DIRECTION,
+    WIND_SPEED,
+    by_key,
+)
+from taxinet_ros.core.traffic.traffic import NOBODY, traffic_of
+from taxinet_ros.core.traffic.traffic_file import typed_traffic
+from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.world import ChosenWorld, find_world
+from taxinet_ros.errors import UsageError
+from taxinet_ros.samplers.sampler import LAG, split_options
+from taxinet_ros.scenes.overrides import WEATHER
+from taxinet_ros.trials.options import (
+    DEFAULT_ROOT,
+    GRAPH,
+    CampaignOptions,
+    make_options,
+    new_folder,
+)
+from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
+from taxinet_ros.trials.search_options import check_workers_or_cluster
+from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED, Axis, Point
+
+DISTANCES_M = (1000.0, 1800.0)
+"""Nominal starts before and beyond the crossing, each within the range of ``nominal.scenic``."""
+NOMINAL_HOUR = 10.0
+STEPS = {
+    'cross_track_m': 0.1, 'distance_m': 10.0, 'heading_deg': 0.5, 'rain_percent': 1.0,
+    'time_of_day_h': 0.05, 'wind_speed_mps': 0.5, 'gust_mps': 0.5, 'slope_percent': 0.1,
+    'speed_mps': 0.5, 'camera_dropout_percent': 1.0, 'camera_freeze_s': 0.1,
+    'lens_dirt_percent': 1.0, 'lens_drops_percent': 1.0, 'glare_ghost_percent': 5.0,
+    'exposure_jump_ev': 0.1, 'loop_delay_s': 0.1, 'loop_jitter_s': 0.1, 'steering_bias_deg': 0.1,
+    **{field.key: 0.01 if field.unit == 'm' else 0.1 for field in CAMERA_OFFSETS},
+}
+"""Step of each numeric parameter; 0.05 h are 3 min. A limit of the steering rate has none, as the
+least severe one is as far from no limit as any."""
+KEYS = (
+    'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
+    'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps',
+    *(field.key for field in (*FAULTS, *CAMERA_OFFSETS)), 'traffic', 'shadows', 'crossing', 'date',
+    'aircraft',
+)
+"""Parameters to move to nominal; the last four keep the run's values unless given."""
+_FOLLOWERS = {
+    WIND_DIRECTION: (WIND_SPEED,), GUST_SEED: (GUST,), FAULT_ONSET: FAULTS,
+    FAULT_SEED: DRAWN_FAULTS,
+}
+"""Parameters without effect when all of the others are 0; they are set to 0 with them."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Parameter:
+    """One parameter, in human units.
+
+    Attributes:
+        key: one of :data:`KEYS`.
+        values: from nominal to the failed run's; a single one if the two are equal.
+    """
+
+    key: str
+    values: tuple[Any, ...]
+
+    @property
+    def axis(self) -> Axis:
+        """The parameter as a search axis."""
+        return Axis(steps=len(self.values) - 1, scan=self.key not in STEPS)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShrinkSpace:
+    """The scenarios between nominal and a failed run's.
+
+    Attributes:
+        original, nominal: the two ends.
+        parameters: all parameters considered, including those already nominal.
+    """
+
+    original: Scenario
+    nominal: Scenario
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def moving(self) -> tuple[Parameter, ...]:
+        """The parameters that are not nominal: one for each axis of a point."""
+        return tuple(one for one in self.parameters if len(one.values) > 1)
+
+    def steps(self, point: Point) -> dict[str, int]:
+        """Steps from nominal by key, 0 for parameters that are already nominal."""
+        moved = dict(zip((one.key for one in self.moving), point, strict=True))
+        return {one.key: moved.get(one.key, 0) for one in self.parameters}
+
+    def scenario(self, point: Point) -> Scenario:
+        """The scenario at a point; unmoved parameters are bit-exact."""
+        steps = self.steps(point)
+        changed = {
+            one.key: one.values[steps[one.key]]
+            for one in self.moving if steps[one.key] < one.axis.steps
+        }
+        drawn = self.original.to_human()
+        changed |= _followers({**drawn, **changed})
+        built = scenario_from_human({**drawn, **changed})
+        names = [BY_KEY[key].attribute for key in changed]
+        return dataclasses.replace(self.original, **{name: getattr(built, name) for name in names})
+
+    def possible(self, point: Point, axis: int) -> Point:
+        """``point`` with clouds or rain set to nominal if the sky does not allow the rain.
+
+        Args:
+            point: steps away from nominal.
+            axis: number of the moved parameter; the other one of the two is set to nominal.
+        """
+        keys = [one.key for one in self.moving]
+        values = {
+            key: next(one for one in self.parameters if one.key == key).values[steps]
+            for key, steps in self.steps(point).items() if key in WEATHER
+        }
+        if values['clouds'] in RAIN_CLOUDS or values['rain_percent'] == 0:
+            return point
+        other = keys.index('clouds' if keys[axis] == 'rain_percent' else 'rain_percent')
+        return (*point[:other], 0, *point[other + 1:])
+
+
+def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> ShrinkSpace:
+    """The space of a failed run.
+
+    Args:
+        original: its scenario.
+        settings: ``key=value`` of the nominal scenario, in human units.
+
+    Raises:
+        UsageError: a setting is invalid, or the run's scenario is already nominal.
+    """
+    chosen = _chosen(settings)
+    drawn = original.to_human()
+    crossings = original.runway.crossings if original.line.is_runway else ()
+    beyond = bool(crossings) and original.distance_m > crossings[0].x_m
+    usual = {
+        'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'clear', 'rain_percent': 0.0,
+        'time_of_day_h': NOMINAL_HOUR,
+        'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
+    }
+    moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)
+    pushed = {field.key: field.to_human(field.absent) for field in moved}
+    pushed[TRAFFIC.key] = NOBODY
+    usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
+    try:
+        asked = {**drawn, **usual, **chosen}
+        nominal = scenario_from_human({**asked, **_followers(asked)})
+        if 'aircraft' in chosen:  # in the run's own wind, as it may be moved first
+            scenario_from_human({**drawn, 'aircraft': chosen['aircraft']})
+    except UsageError as error:
+        raise UsageError(f'--nominal: {str(error).removeprefix("scenario: ")}') from None
+    wanted = nominal.to_human()
+    parameters = tuple(
+        Parameter(key=key, values=_values(key, wanted[key], drawn[key]))
+        for key in KEYS if key in usual or key in chosen
+    )
+    space = ShrinkSpace(original=original, nominal=nominal, parameters=parameters)
+    if not space.moving:
+        raise UsageError('the run is nominal already: there is nothing to shrink; see --nominal')
+    return space
+
+
+def _chosen(settings: Iterable[str]) -> dict[str, str]:
+    try:
+        chosen = by_key(split_options(settings))
+    except UsageError as error:
+        text = str(error).removeprefix('sampler option ').removeprefix('scenario: ')
+        raise UsageError(f'--nominal {text}') from None
+    for key in chosen:
+        if key not in KEYS:
+            raise UsageError(f'--nominal {key}: unknown; known: {", ".join(KEYS)}')
+    return chosen
+
+
+def _followers(values: Mapping[str, Any]) -> dict[str, float]:
+    """Parameters that follow others of a scene's values to 0."""
+    return {
+        follower.key: 0.0 for follower, leaders in _FOLLOWERS.items()
+        if not any(leader.from_human(values[leader.key]) for leader in leaders)
+    }
+
+
+def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
+    if nominal == original:
+        return (nominal,)
+    if key == TRAFFIC.key:
+        return _fewer(nominal, original)
+    if BY_KEY[key].words:
+        return _words(BY_KEY[key].words, nominal, original)
+    if key not in STEPS:
+        return nominal, original
+    step = math.copysign(STEPS[key], original - nominal)
+    # A rounding error must not add a step.
+    whole = math.ceil(round(abs(original - nominal) / abs(step), 6))
+    return (*(round(nominal + k * step, 9) for k in range(max(whole, 1))), original)
+
+
+def _fewer(nominal: str, original: str) -> tuple[str, ...]:
+    """References to the first objects of a scene, from the nominal ones to all of them."""
+    objects = typed_traffic(original).objects
+    parts = (typed_traffic(traffic_of(objects[:k]).text) for k in range(1, len(objects) + 1))
+    return nominal, *(part.reference for part in parts if part.reference != nominal)
+
+
+def _words(order: tuple[str, ...], nominal: str, original: str) -> tuple[str, ...]:
+    first, last = order.index(nominal), order.index(original)
+    step = 1 if last > first else -1
+    return tuple(order[place] for place in range(first, last + step, step))
+
+
+PROGRAM = 'shrink'
+"""Program name of runs without a program, in run names and in the table."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShrinkOptions:
+    """Options of shrinking one failed run.
+
+    Attributes:
+        run: the failed run.
+        space: the scenarios that may be run.
+        campaign: judging, perception and output folder; ``runs`` limits the runs of the search.
+        workers: number of concurrent graphs.
+        resume: continue an interrupted shrinking.
+        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
+    """
+
+    run: JudgedRun
+    space: ShrinkSpace
+    campaign: CampaignOptions
+    workers: int = 1
+    resume: bool = False
+    cluster: str = ''
+
+    in_flight = LAG
+    """Number of runs that may be in flight."""
+
+    @property
+    def runs(self) -> int:
+        """Maximum number of its runs."""
+        return self.campaign.runs
+
+    @property
+    def headline(self) -> str:
+        """Name of the formula that must stay violated."""
+        return self.campaign.judging.headline
+
+
+def make_shrink_options(
+    path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
+    workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
+    engine: str = GRAPH, audit: str | None = None, cluster: str | None = None,
+) -> ShrinkOptions:
+    """Check the command-line arguments.
+
+    Args:
+        path: folder of the failed run.
+        perception: perception, if not the run's.
+        specs: formulas as text; the run's if empty.
+        nominal: ``key=value`` of the nominal scenario.
+        runs: maximum number of runs of the search.
+        workers: number of concurrent graphs.
+        out: folder; if None, a new one below ``bags/`` with a descriptive name.
+        resume: continue the shrinking in ``out``.
+        images: record ``all`` or ``none`` of the camera frames.
+        controller: controller, if not the run's.
+        engine: what makes the runs, see :class:`.CampaignOptions`.
+        audit: share of the runs to audit as text, see :func:`.check_engine`.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if runs < LEAST_ASKED:
+        raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
+    run = find_run(path)
+    if run.timing.free:
+        raise UsageError(
+            f'{path}: a free run: {NOT_REPRODUCIBLE}, so nothing tells a scenario that matters '
+            'from chance; shrink a run that failed with --latency'
+        )
+    if again := _world(run).again_words:
+        raise UsageError(
+            f'{path}: {again}, so nothing tells a scenario that matters from chance'
+        )
+    _check_failed(path, run, other_specs=bool(specs))
+    space = make_shrink_space(run.scenario, nominal)
+    if out is None and not resume:
+        out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
+    campaign = make_options(
+        program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
+        controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
+        processes=False, images=images, resume=resume, world=run.world,
+        engine=engine, audit=audit,
+    )
+    gains = dict(run.gains) if campaign.controller == STEERING else {}
+    return ShrinkOptions(
+        run=run, space=space,
+        campaign=dataclasses.replace(campaign, gains=gains, timing=run.timing),
+        workers=workers, resume=resume,
+        cluster=check_workers_or_cluster(workers, LAG, cluster, campaign),
+    )
+
+
+def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
+    if not run.outcome.judged:
+        raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
+    if other_specs:
+        return
+    interval = run.robustness.get(run.headline)
+    if interval is not None and interval.satisfied:
+        raise UsageError(
+            f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
+            'failed, or with --spec what it failed'
+        )
+
+
+def _perception(run: JudgedRun, asked: str | None) -> str:
+    """The perception to shrink with: the one that failed, unless another is given."""
+    if asked is not None:
+        return asked
+    try:
+        now = check_perception(run.perception, graph=True)
+    except UsageError as error:
+        raise UsageError(f'{run.run_id}: {error}; say with --perception where it is') from error
+    if is_node_elsewhere(run.perception):
+        return run.perception
+    if now != run.fingerprint:
+        raise UsageError(
+            f'{run.run_id}: perception {run.perception} is {now[:12] or "without weights"} now, it '
+            f'was {run.fingerprint[:12] or "without weights"}; --perception {run.perception} takes '
+            'it as it is'
+        )
+    return run.perception
+
+
+def _controller(run: JudgedRun) -> str:
+    """Controller of the failed run."""
+    try:
+        now = check_controller(run.controller, graph=True)
+    except UsageError as error:
+        raise UsageError(
+            f'{run.run_id}: {error}; say with --controller what to steer with'
+        ) from error
+    if now != run.controller_fingerprint and not is_node_elsewhere(run.controller):
+        raise UsageError(
+            f'{run.run_id}: controller {run.controller} is {now[:12]} now, it was '
+            f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
+        )
+    return run.controller
+
+
+def _world(run: JudgedRun) -> ChosenWorld:
+    """World of the failed run."""
+    try:
+        return find_world(run.world, run.world_fingerprint)
+    except UsageError as error:
+        raise UsageError(f'{run.run_id}: {error}') from error

@@ -1,0 +1,48 @@
+"""A Scenic child to talk to without a parent in between."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any, TextIO
+
+import pytest
+from waiting import PATIENT_S
+
+from taxinet_ros.scenes.scenic_server import fork_child
+
+
+class Client:
+    """Speaks the child's protocol."""
+
+    def __init__(self, requests: TextIO, answers: TextIO) -> None:
+        self._requests, self._answers = requests, answers
+        first = json.loads(answers.readline())
+        assert {*first} == {'ticket', 'pid'}, 'the first line says that Scenic is there'
+        self.pid: int = first['pid']
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        print(json.dumps({**request, 'ticket': 'one'}), file=self._requests, flush=True)
+        answer: dict[str, Any] = json.loads(self._answers.readline())
+        assert answer.pop('ticket') == 'one'
+        return answer
+
+
+@pytest.fixture(scope='session')
+def scenic_child() -> Callable[..., AbstractContextManager[Client]]:
+    """What starts a child, in a with statement that gives a :class:`Client`."""
+    return start
+
+
+@contextmanager
+def start(*, timeout_s: float = PATIENT_S) -> Iterator[Client]:
+    child, answer_read, request_write = fork_child(
+        seed=1, memory_bytes=4 << 30, timeout_s=timeout_s
+    )
+    with open(request_write, 'w') as requests, open(answer_read) as answers:
+        client = Client(requests, answers)
+        child.pid = client.pid
+        yield client
+        requests.close()
+        assert child.wait() == 0, 'the child has to end when its parent hangs up'

@@ -1,0 +1,250 @@
+"""Failed runs of a campaign once more, in worker processes, with the truth for the network."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import sqlite3
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from campaign_records import write_campaign
+
+from taxinet_ros.analysis.fault_localisation import Blame, Suffices, judge_case
+from taxinet_ros.core.perception.perception import check_perception, make_perception
+from taxinet_ros.core.perception.substituted import AS_RECORDED
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, Record, read_record
+from taxinet_ros.trials.past_runs.localisation import localize, make_localize_options
+from taxinet_ros.trials.past_runs.recorded_campaign import (
+    open_campaign,
+    open_failed_campaign,
+    scenario_of_row,
+    spread_evenly,
+)
+from taxinet_ros.trials.past_runs.shared_scenes import Scene
+from taxinet_ros.trials.past_runs.trials import (
+    Trial,
+    TrialRecord,
+    TrialSystem,
+    make_trial,
+)
+from taxinet_ros.trials.record.row import RunRow
+
+SPEC = 'phi_eventually'
+FORMULA = 'eventually[0:10](always(abs(cte) <= 1.5))'
+JUDGING = Judging(specs=(f'{SPEC}={FORMULA}',))
+WET = scenario_from_human({
+    'cross_track': 5, 'heading': 20, 'distance': 600, 'clouds': 'stratus', 'rain': 90,
+    'time_of_day': 8, 'duration': 12,
+})
+OFF = [
+    scenario_from_human({'cross_track': 5, 'heading': heading, 'duration': 11})
+    for heading in (10, 15, 20)
+]
+"""With a nose wheel that never turns they go on and on to the left."""
+LOCKED = {'heading_gain': 0.0}
+
+
+def row_of(scene: Scenario, index: int, perception: str) -> RunRow:
+    """The row of a run that has no result yet."""
+    return RunRow(
+        run_id=f'run-{index}', index=index, program='s_falsif', seed=3, perception=perception,
+        fingerprint=check_perception(perception), sampler='random', weight=1.0,
+        **scene.to_human(), outcome=Outcome.INTERRUPTED,
+    )
+
+
+def failed_campaign(
+    folder: Path, scenes: Sequence[Scenario], *, perception: str = 'truth',
+    gains: Mapping[str, float] = LOCKED,
+) -> list[RunRow]:
+    """Run scenes as they are, and write the record of a campaign of them."""
+    system = TrialSystem(perception=perception, judging=JUDGING, gains=gains)
+    network = make_perception(perception)
+    rows = []
+    for index, scene in enumerate(scenes):
+        row = row_of(scene, index, perception)
+        trial = make_trial(Scene(row=row, scenario=scene, exact=True).task(), system, network)
+        rows.append(dataclasses.replace(
+            row, outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
+            robustness={SPEC: trial.robustness}, stopped_early=False,
+            left_runway=trial.left_runway, max_cross_track_m=trial.max_cross_track_m,
+            settle_time_s=trial.settle_time_s,
+        ))
+    write_campaign(folder, rows, {
+        'program': 's_falsif.scenic', 'seed': 3, 'runs': len(rows), 'perception': perception,
+        'specs': {SPEC: FORMULA}, 'gains': dict(gains), 'stop_on': 'never',
+    })
+    return rows
+
+
+@pytest.fixture(scope='module')
+def off(tmp_path_factory) -> Path:
+    """A campaign of three runs that fail whatever the perception."""
+    folder = tmp_path_factory.mktemp('off') / 'c'
+    failed_campaign(folder, OFF)
+    return folder
+
+
+def options(folder: Path, out: Path, **changes):
+    given = {'runs': None, 'words': (), 'workers': 1, 'out': out, 'perception': None, **changes}
+    return make_localize_options(folder, **given)
+
+
+def ignore(done: int) -> None:
+    pass
+
+
+def never() -> bool:
+    return False
+
+
+def test_given_a_failure_of_the_network_then_it_comes_out_as_recorded_and_the_truth_passes(
+    tmp_path,
+):
+    (row,) = failed_campaign(tmp_path / 'c', [WET], perception='original', gains={})
+    assert row.outcome == 'FAIL'
+    trials = localize(options(tmp_path / 'c', tmp_path / 'out'), ignore, never)
+    assert sorted(word for _, word in trials) == [AS_RECORDED, 'truth', 'truth-cte',
+                                                  'truth-heading']
+    control = trials['run-0', AS_RECORDED]
+    assert control.robustness == row.robustness[SPEC]
+    assert control.max_cross_track_m == row.max_cross_track_m
+    case = judge_case(row, {word: trial for (_, word), trial in trials.items()})
+    assert (case.blame, case.counted) == (Blame.PERCEPTION, True)
+    assert case.suffices is not Suffices.UNKNOWN
+
+
+def test_given_a_nose_wheel_that_never_turns_then_the_truth_fails_too_and_the_law_is_to_blame(
+    tmp_path,
+):
+    (row,) = failed_campaign(tmp_path / 'c', OFF[:1], perception='original')
+    system = TrialSystem(perception='original', judging=JUDGING, gains=LOCKED)
+    network, scene = make_perception('original'), Scene(row=row, scenario=OFF[0], exact=True)
+    trials = {
+        word: make_trial(scene.task(word), system, network) for word in (AS_RECORDED, 'truth')
+    }
+    assert judge_case(row, trials).blame is Blame.CONTROLLER
+
+
+def test_given_an_interrupt_and_damage_then_the_same_command_does_what_is_left_and_more(
+    off, tmp_path, capsys,
+):
+    out, counts = tmp_path / 'out', []
+    asked = options(off, out, words=['truth', 'noisy:1'])
+    assert asked.wanted == 9
+    part = localize(asked, counts.append, lambda: len(counts) > 3)
+    assert counts[0] == 0
+    assert 3 <= len(part) < 9
+    with contextlib.closing(sqlite3.connect(out / RECORD_NAME)) as file, file:
+        file.execute('UPDATE entries SET value = replace(value, "false", "true") WHERE key = '
+                     '(SELECT max(key) FROM entries WHERE kind = "trial")')
+    rest: list[int] = []
+    whole = localize(asked, rest.append, never)
+    assert rest == list(range(len(part) - 1, 10)), 'each that is missing once'
+    assert len(whole) == 9
+    assert 'damaged (entry trial' in capsys.readouterr().err
+    assert {key: whole[key] for key in part} == part
+    more = localize(options(off, out, words=['truth'], runs=1), ignore, never)
+    assert set(more) == {('run-1', AS_RECORDED), ('run-1', 'truth')}
+    entries = read_record(out / RECORD_NAME)
+    assert len(entries['trial']) == 9
+    assert [sitting['python'] for sitting in entries['sitting'].values()], 'on which machine'
+
+
+def test_given_the_number_of_workers_then_the_trials_are_the_same(off, tmp_path):
+    found = [
+        localize(
+            options(off, tmp_path / f'out{workers}', workers=workers, runs=2,
+                    words=['truth', 'noisy:2', 'truth-delayed:1']), ignore, never)
+        for workers in (1, 2)
+    ]
+    assert len(found[0]) == 8
+    assert found[0] == found[1]
+    assert found[0]['run-0', 'noisy:2'] != found[0]['run-2', 'noisy:2']
+
+
+def test_given_trials_of_another_campaign_or_something_else_then_they_are_not_mixed(
+    off, tmp_path
+):
+    failed_campaign(tmp_path / 'other', OFF[:1], gains={'heading_gain': 0.01})
+    out = tmp_path / 'out'
+    localize(options(off, out), ignore, lambda: True)
+    with pytest.raises(UsageError, match='contains trials of another campaign or network'):
+        localize(options(tmp_path / 'other', out), ignore, never)
+    (tmp_path / 'old').mkdir()
+    (tmp_path / 'old' / 'trials.jsonl').touch()
+    with pytest.raises(UsageError, match=r'contains something else \(trials.jsonl\)'):
+        localize(options(off, tmp_path / 'old'), ignore, never)
+    with Record(out / RECORD_NAME), pytest.raises(UsageError, match='another command is writing'):
+        localize(options(off, out), ignore, never)
+
+
+def test_given_a_run_that_cannot_be_judged_then_it_is_kept_and_repeated_by_the_next_sitting(
+    tmp_path
+):
+    settings = {'of': 'a test'}
+    broken = Trial(run_id='a', word='truth', passed=None, detail='no image')
+    with TrialRecord(tmp_path, settings, Trial, 'other') as record:
+        record.keep('a', broken)
+        record.keep('b', dataclasses.replace(broken, passed=True))
+        assert set(record.done) == {'a', 'b'}
+    with TrialRecord(tmp_path, settings, Trial, 'other') as record:
+        assert set(record.done) == {'b'}
+    assert set(read_record(tmp_path / RECORD_NAME)['trial']) == {'a', 'b'}
+
+
+@pytest.mark.parametrize(('campaign', 'changes', 'words'), [
+    ('', {}, 'not a campaign: no campaign.db'),
+    ('c', {'runs': 0}, '--runs 0: needs to be 1 or more'),
+    ('c', {'workers': 0}, '--workers 0: needs to be within 1..64'),
+    ('c', {'words': ['turth']}, '--with turth: unknown'),
+    ('c', {'perception': 'original'}, 'the runs had the truth; name the file'),
+])
+def test_given_bad_input_then_one_line_says_what_is_wrong(off, tmp_path, campaign, changes, words):
+    with pytest.raises(UsageError, match=words) as error:
+        options(off.parent / campaign, tmp_path / 'out', **changes)
+    assert '\n' not in str(error.value)
+
+
+def test_given_runs_that_passed_then_there_is_nothing_to_localise(tmp_path):
+    failed_campaign(tmp_path / 'good', OFF[:1], gains={})
+    with pytest.raises(UsageError, match='none of its 1 judged runs failed'):
+        options(tmp_path / 'good', tmp_path / 'out')
+
+
+def test_given_a_number_of_runs_then_they_are_spread_over_all():
+    many = tuple(range(1996))
+    chosen = spread_evenly(many, 200)
+    assert len(set(chosen)) == 200
+    steps = {b - a for a, b in pairwise(chosen)}
+    assert steps <= {9, 10}
+    assert chosen[0] < 10 > 1995 - chosen[-1]
+    assert spread_evenly(many, None) == spread_evenly(many, 5000) == many
+
+
+def test_given_a_recorded_campaign_then_rows_rates_and_counterexamples_are_read_from_its_record(
+    off,
+):
+    before = {path: path.stat().st_mtime_ns for path in off.parent.rglob('*')}
+    found = open_campaign(off)
+    assert len(found.rows) == 3
+    assert found.rows == found.judged == found.counterexamples
+    assert open_failed_campaign(off).counterexamples == found.rows
+    table = found.table()
+    assert list(table['run_id']) == [row.run_id for row in found.rows]
+    assert (table['outcome'] == 'FAIL').all()
+    rate = found.failure_rate.rate
+    assert rate is not None
+    assert (rate.rate, rate.high) == (1.0, 1.0)
+    assert found.judging == JUDGING
+    row = found.rows[0]
+    assert found.bag(row) is None
+    assert found.scenario(row) == scenario_of_row(row, off, {}) == (OFF[0], False)
+    assert {path: path.stat().st_mtime_ns for path in off.parent.rglob('*')} == before
