@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from scenic_client import scenic_child
 
 
 @pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
+def client() -> Iterator[Any]:
     """One child for a module: importing Scenic takes a second."""
     with scenic_child() as started:
         yield started

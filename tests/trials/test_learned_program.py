@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenic_client import scenic_child
 from scipy.stats import chisquare
 
 from taxinet_ros.errors import UsageError
@@ -23,7 +24,7 @@ Learn = Callable[..., str]
 
 
 @pytest.fixture(scope='module')
-def client(scenic_child: Any) -> Iterator[Any]:
+def client() -> Iterator[Any]:
     with scenic_child() as started:
         yield started
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, TextIO
 
-import pytest
 from waiting import PATIENT_S
 
 from taxinet_ros.scenes.scenic_server import fork_child
@@ -29,14 +28,9 @@ class Client:
         return answer
 
 
-@pytest.fixture(scope='session')
-def scenic_child() -> Callable[..., AbstractContextManager[Client]]:
-    """What starts a child, in a with statement that gives a :class:`Client`."""
-    return start
-
-
 @contextmanager
-def start(*, timeout_s: float = PATIENT_S) -> Iterator[Client]:
+def scenic_child(*, timeout_s: float = PATIENT_S) -> Iterator[Client]:
+    """A child that has just started."""
     child, answer_read, request_write = fork_child(
         seed=1, memory_bytes=4 << 30, timeout_s=timeout_s
     )
