@@ -553,7 +553,7 @@ def _copy_over(sitting: _Sitting) -> None:
 
 
 _BROKEN = frozenset({ExitCode.INFRA})
-_NOTHING_THERE = ('no such file, so nothing was begun', 'c: holds no arm of experiment')
+_NOTHING_THERE = ('no such file, so there is nothing to resume', 'c: holds no arm of experiment')
 
 FAULTS: Mapping[str, Fault] = {
     'campaign killed': Fault(
