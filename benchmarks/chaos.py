@@ -1,15 +1,15 @@
-"""Chaos test: inject faults into small campaigns and check what is left.
+"""Chaos test: inject faults into small commands that run scenes, and check what is left.
 
-Each trial starts a campaign, injects a fault at a moment drawn from the seed (kill, stop, full
-disk, moved folder, damaged file), resumes it, up to three times, and lets it end. Its rows must
-equal those of an undisturbed campaign. Meanwhile no row may be lost, duplicated or changed, and no
-command may hang, leave a process behind, end in a traceback or return an unexpected exit code.
+Each trial starts a command, injects a fault at a moment drawn from the seed (kill, stop, full
+disk, moved folder, damaged file), starts it again, up to three times, and lets it end. What it has
+recorded must equal what an undisturbed one has. Meanwhile no row may be lost, duplicated or
+changed, and no command may hang, leave a process behind, end in a traceback or return an unexpected
+exit code.
 """
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import os
 import random
@@ -32,11 +32,10 @@ from processes import VERDICTS
 
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
-from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.processes.child import ChildProcess
-from taxinet_ros.trials.record.content import read_campaign
-from taxinet_ros.trials.record.facts import is_campaign
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.past_runs.trials import TRIAL
+from taxinet_ros.trials.record.facts import ROW
 from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
 
 HANG_S = 900.0
@@ -66,23 +65,36 @@ arms:
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """A campaign that is disturbed.
+    """A command that is disturbed.
 
     Attributes:
         words: the command, without ``--out``.
-        runs: number of runs in each of its folders.
+        runs: least number of runs in each of its folders.
         folders: folders of its records, relative to its output folder.
-        resumable: whether it accepts ``--resume``.
+        resumable: whether it goes on where it was.
+        resume: what is added to go on.
+        of: words of a campaign that has to be there before, beside the output folder as ``of``.
+        kind: kind of the entries of its record that are compared.
+        codes: exit codes with which it may end undisturbed.
     """
 
     words: tuple[str, ...]
     runs: int
     folders: tuple[str, ...] = ('',)
     resumable: bool = True
+    resume: tuple[str, ...] = ('--resume',)
+    of: tuple[str, ...] = ()
+    kind: str = ROW
+    codes: tuple[int, ...] = VERDICTS
 
 
 _RUN = ('--perception', 'truth', '--images', 'none', '--set', 'duration_s=1', '--seed', '4',
         '--spec', 'tight=always(abs(cte) <= 0.3)')
+
+_FAILING = (
+    'run', 's_falsif', '--runs', '4', '--perception', 'original', '--engine', 'loop', '--set',
+    'duration_s=3', '--spec', 'tight=always(abs(cte) <= 0.3)', '--images', 'none',
+)
 
 SUBJECTS: Mapping[str, Subject] = {
     'falsify': Subject(words=(
@@ -96,6 +108,31 @@ SUBJECTS: Mapping[str, Subject] = {
     ),
     'run': Subject(words=('run', 'nominal', '--runs', '5', '--processes', *_RUN), runs=5,
                    resumable=False),
+    'shrink': Subject(
+        words=('shrink', '../of/s_falsif-s0-00000', '--workers', '2', '--engine', 'loop'), runs=8,
+        of=_FAILING,
+    ),
+    'localize': Subject(
+        words=('localize', '../of', '--workers', '2'), runs=8, resume=(), of=_FAILING, kind=TRIAL,
+    ),
+    'compare': Subject(
+        words=('compare', 'original', 'taxinet', '../of', '--workers', '2'), runs=8, resume=(),
+        of=_FAILING, kind=TRIAL,
+    ),
+    'bisect': Subject(
+        words=('bisect', 'original', 'generic', 'taxinet', '--scene', '../of', '--every'), runs=8,
+        resume=(), of=_FAILING, kind=TRIAL,
+    ),
+    'tune': Subject(
+        words=('tune', 'nominal', '--perception', 'truth', '--candidates', '3', '--scenes', '3',
+               '--unseen', '3'),
+        runs=6, resume=(), kind=TRIAL, codes=(0, ExitCode.INCOMPLETE),
+    ),
+    'assure judge': Subject(
+        words=('assure', 'judge', 'nominal', '--perception', 'original', '--monitor', 'original',
+               '--fallback', 'stop', '--runs', '4'),
+        runs=4, resume=(), kind=TRIAL,
+    ),
 }
 
 
@@ -188,16 +225,25 @@ class Chaos:
         self.found.sittings += 1
         return _Sitting([*self._command, *words], place)
 
+    def _prepare(self, subject: Subject) -> None:
+        """Make the campaign that a command is about, once."""
+        if subject.of and not (self._folder / 'of').is_dir():
+            with self.sit([*subject.of, '--out', 'of'], self._folder) as sitting:
+                if (code := sitting.ended()) not in VERDICTS:
+                    raise InfraError(
+                        InfraKind.DIED, 'of', -1, f'ended with {code}: {sitting.last_line}')
+
     def _whole(self, name: str) -> tuple[int, Rows]:
         """Exit code and rows of an undisturbed campaign."""
         if name not in self._undisturbed:
             place = self._folder / f'whole-{len(self._undisturbed)}'
             place.mkdir()
             subject = SUBJECTS[name]
+            self._prepare(subject)
             with self.sit([*subject.words, '--out', 'c'], place) as sitting:
                 code = sitting.ended()
             rows = _rows(subject, sitting.out)
-            if code not in VERDICTS or len(rows) < subject.runs * len(subject.folders):
+            if code not in subject.codes or len(rows) < subject.runs * len(subject.folders):
                 raise InfraError(
                     InfraKind.DIED, name, -1, f'ended with {code}: {sitting.last_line}'
                 )
@@ -205,8 +251,8 @@ class Chaos:
         return self._undisturbed[name]
 
 
-Rows = dict[tuple[str, int], RunRow]
-"""Rows by folder and index."""
+Rows = dict[tuple[str, str], dict[str, Any]]
+"""Values of the results by folder and key."""
 
 
 class _Sitting:
@@ -270,7 +316,7 @@ class _Sitting:
         """Wait for ``number`` results; False if it ended before."""
         deadline = time.monotonic() + HANG_S
         while self.process.poll() is None and time.monotonic() < deadline:
-            told = sum(_results(path.parent) for path in self.out.glob(f'**/{RECORD_NAME}'))
+            told = sum(_results(path) for path in self.out.glob(f'**/{RECORD_NAME}'))
             if told >= number:
                 return True
             time.sleep(0.02)
@@ -306,7 +352,7 @@ class _Trial:
 
     def _words(self) -> list[str]:
         begun = any(self._out.iterdir()) if self._out.is_dir() else False
-        return [*self._subject.words, '--out', 'c', *(['--resume'] if begun else [])]
+        return [*self._subject.words, '--out', 'c', *(self._subject.resume if begun else ())]
 
     def _disturbed(self, name: str, fault: Fault) -> int | None:
         """Run one sitting with a fault and return its exit code, None if it hangs."""
@@ -326,14 +372,14 @@ class _Trial:
         self._note(name, 'too early' if early else str(code) if in_time else 'too late')
         if code == ExitCode.USAGE and self._kept and not early:  # refused: names the damage
             return self._mended(name, sitting)
-        if self._kept and code not in VERDICTS and self._told() == before:
+        if self._kept and code not in self._subject.codes and self._told() == before:
             return code  # may have ended before reading the damaged file: the next sitting reads it
         self._kept.clear()  # damage that was not refused must leave the rows unchanged
         self._check_rows(name, code)
         return code
 
     def _told(self) -> int:
-        return sum(_results(path.parent) for path in self._out.glob(f'**/{RECORD_NAME}'))
+        return sum(_results(path) for path in self._out.glob(f'**/{RECORD_NAME}'))
 
     def _undisturbed_end(self) -> None:
         with self._chaos.sit(self._words(), self._place) as sitting:
@@ -374,15 +420,15 @@ class _Trial:
         """Check that no judged row is lost, changed or duplicated; all exist after a verdict."""
         rows = self._rows(name)
         for key, row in self._judged.items():
-            if key not in rows or not rows[key].outcome.judged:
+            if key not in rows or not _judged(rows[key]):
                 self._broke('rows lost', f'{name}: run {key} is gone')
             elif changed := _changed(row, rows[key]):
                 self._broke('rows changed', f'{name}: run {key}: {changed}')
-        self._judged = {key: row for key, row in rows.items() if row.outcome.judged}
+        self._judged = {key: row for key, row in rows.items() if _judged(row)}
         for key, row in self._judged.items():
             if changed := _changed(self._whole[key], row):
                 self._broke('rows changed', f'{name}: run {key} of the undisturbed one: {changed}')
-        if code in VERDICTS:
+        if code in self._subject.codes:
             self._check_verdict(name, code, rows)
 
     def _rows(self, name: str) -> Rows:
@@ -397,7 +443,7 @@ class _Trial:
         """Check that the exit code agrees with the verdicts of all runs."""
         if len(rows) < len(self._whole):
             self._broke('rows lost', f'{name}: {len(rows)} rows with exit code {code}')
-        if any(row.outcome is Outcome.INFRA_ERROR for row in rows.values()):
+        if any(row.get('outcome') == Outcome.INFRA_ERROR for row in rows.values()):
             self._broke('exit code', f'{name}: {code} with a broken run')
 
     def _compare(self) -> None:
@@ -406,7 +452,7 @@ class _Trial:
         self._found.rows += len(rows)
         if rows.keys() != self._whole.keys():
             self._broke('rows lost', f'{len(rows)} of {len(self._whole)} rows in the end')
-        for folder in self._subject.folders:
+        for folder in self._subject.folders if self._subject.kind == ROW else ():
             try:
                 table = read_table(self._out / folder)
             except UsageError as error:
@@ -414,7 +460,9 @@ class _Trial:
                 continue
             told = {int(index): outcome for index, outcome in
                     zip(table['index'], table['outcome'], strict=True)}
-            if told != {key[1]: row.outcome.value for key, row in rows.items() if key[0] == folder}:
+            if told != {
+                int(key): row['outcome'] for (place, key), row in rows.items() if place == folder
+            }:
                 self._broke('rows changed', f'the table of {self._out / folder} is another')
 
     # Damage ------------------------------------------------------------------------------------
@@ -461,28 +509,35 @@ class _Trial:
         return ExitCode.USAGE
 
 
-def _results(folder: Path) -> int:
+def _results(record: Path) -> int:
     """Number of results in a record."""
     try:
-        return len(read_campaign(folder).rows)
+        return sum(len(read_record(record).get(kind, ())) for kind in (ROW, TRIAL))
     except (OSError, UsageError):
         return 0
 
 
 def _rows(subject: Subject, out: Path) -> Rows:
-    """All rows in the records."""
+    """All results in the records."""
     return {
-        (folder, row.index): row for folder in subject.folders if is_campaign(out / folder)
-        for row in read_campaign(out / folder).rows
+        (folder, key): values for folder in subject.folders
+        if (out / folder / RECORD_NAME).is_file()
+        for key, values in read_record(out / folder / RECORD_NAME).get(subject.kind, {}).items()
     }
 
 
-def _changed(before: RunRow, after: RunRow) -> str:
-    """Columns in which two rows differ although they must be equal, with both values."""
-    one, other = dataclasses.asdict(before), dataclasses.asdict(after)
+def _judged(values: Mapping[str, Any]) -> bool:
+    """Whether a result has a verdict; those of commands without bags say it in other words."""
+    if 'outcome' in values:
+        return Outcome(values['outcome']).judged
+    return values.get('passed', True) is not None
+
+
+def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Values in which two results differ although they must be equal."""
     return ', '.join(
-        f'{key} {one[key]} is {other[key]}'
-        for key in one if key not in _HISTORY and one[key] != other[key]
+        f'{key} {before.get(key)} is {after.get(key)}' for key in {**before, **after}
+        if key not in _HISTORY and before.get(key) != after.get(key)
     )
 
 
