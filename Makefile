@@ -12,6 +12,7 @@
 #                       in one process
 #   REPEATS=10          how often make bench measures, in turns
 #   HASHES=yes          of what is pinned, install the very files of hashes.txt, tools included
+#   CONSTRAINTS=constraints-noble.txt   versions that fit those of Ubuntu 24.04
 #
 # On Linux the default index serves torch with CUDA, some GB. Without a GPU, make adds the index of
 # PyTorch's CPU wheels, where it answers and neither PIP_EXTRA_INDEX_URL nor pip's configuration names
@@ -24,13 +25,14 @@ OUT ?= bags/demo
 PYTEST ?=
 JOBS ?= logical
 HASHES ?=
+CONSTRAINTS ?= constraints.txt
 TORCH ?=
 REPEATS ?= 10
 
 BIN := $(VENV)/bin
 DONE := $(VENV)/done
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-INSTALL := $(PIP) install -q -c constraints.txt
+INSTALL := $(PIP) install -q -c $(CONSTRAINTS)
 # The requirements are whole without their own; what is not pinned, CUDA's libraries, follows later.
 VERIFIED := $(PIP) install -q --no-deps --require-hashes -r
 # Without a GPU, the small build of torch, if its index answers within seconds; hashes name files.
@@ -110,6 +112,12 @@ FIT := import ensurepip, os, sys, sysconfig, venv; \
   header = os.path.join(sysconfig.get_path("include"), "Python.h"); \
   sys.exit(not ((3, 11) <= sys.version_info[:2] <= (3, 13) and os.path.exists(header)))
 
+ifneq ($(HASHES),)
+ifneq ($(CONSTRAINTS),constraints.txt)
+$(error HASHES names the files of constraints.txt, not of $(CONSTRAINTS): leave one of them out)
+endif
+endif
+
 ifeq ($(origin PYTHON),command line)
 $(DONE)/venv: | asked-python
 endif
@@ -168,7 +176,7 @@ OWNER := import json, pathlib, sys; from importlib import metadata; \
   owner = pathlib.Path(json.loads(text).get("url", "").removeprefix("file://")); \
   sys.exit(owner.is_dir() and not owner.samefile(".") and str(owner))
 
-$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt hashes.txt \
+$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml $(CONSTRAINTS) hashes.txt \
   $(SHARED) $(NATIVE)
 	@owner=$$($(BIN)/python -c '$(OWNER)' 2>&1) || case "$$owner" in /*) \
 	  echo "make: $(VENV) belongs to the checkout in $$owner; name another one: VENV=.venv-here" >&2; \
@@ -180,7 +188,7 @@ $(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.t
 	  exit 2; }
 	@$(if $(HASHES),$(VERIFIED) hashes.txt,$(INSTALL) pybind11) || { \
 	  echo 'make: not the files of hashes.txt; an index of other builds? without HASHES the' \
-	    'versions in constraints.txt are enough' >&2; \
+	    'versions in $(CONSTRAINTS) are enough' >&2; \
 	  exit 2; }
 	@$(CHOOSE_TORCH); $(BEAT); $(INSTALL) --no-build-isolation -e '.[ros]'
 	@sed -n '/^opencv-python-headless==/,/[^\]$$/p' hashes.txt > $(DONE)/headless
@@ -194,7 +202,7 @@ $(DONE)/messages: $(DONE)/packages $(INTERFACES)
 	@$(BIN)/python msg_defs/build_with_wheels.py
 	@touch $@
 
-$(DONE)/tools: setup.py constraints.txt | $(DONE)/packages
+$(DONE)/tools: setup.py $(CONSTRAINTS) | $(DONE)/packages
 	@echo 'make: installing the tools for tests'
 	@$(CHOOSE_TORCH); $(BEAT); $(INSTALL) --no-build-isolation -e '.[ros,test,dev,docs]'
 	@touch $@

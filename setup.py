@@ -30,7 +30,7 @@ REQUIREMENTS = [
     'MarkupSafe',
     'matplotlib',
     'mcap',
-    'numpy',
+    'numpy>=1.26',
     'onnx',
     'onnxruntime',
     'opencv-python-headless',

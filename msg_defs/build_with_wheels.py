@@ -85,7 +85,9 @@ def numpy_include() -> Path:
     spec = importlib.util.find_spec('numpy')
     if spec is None or spec.origin is None:
         raise BuildError('numpy is not installed in this environment; run: make install')
-    return Path(spec.origin).parent / '_core' / 'include'
+    home = Path(spec.origin).parent
+    include = home / '_core' / 'include'
+    return include if include.is_dir() else home / 'core' / 'include'  # of NumPy 1
 
 
 def mend_include_paths() -> None:
@@ -97,7 +99,7 @@ def mend_include_paths() -> None:
     foreign = r'/opt/python/cp\d+-cp\d+'
     mends = (
         (rf'{foreign}/include/python3\.\d+', sysconfig.get_paths()['include']),
-        (rf'{foreign}/lib/python3\.\d+/site-packages/numpy/_core/include', str(numpy_include())),
+        (r'/[^;" ]+/site-packages/numpy/_?core/include', str(numpy_include())),
     )
     for path in PREFIX.glob('share/*/cmake/*.cmake'):
         before = after = path.read_text(encoding='utf-8')

@@ -9,15 +9,28 @@ package's compiled code rounds identically on every processor.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import warnings
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 _NEEDED = frozenset({'avx2', 'fma'})
 _NEWER = frozenset({'avx512f', 'avx512cd', 'avx512bw', 'avx512dq', 'avx512vl'})
+
+
+def _newer_of_numpy() -> str:
+    """What numpy calls the code for newer processors; it warns of words that it does not know."""
+    spec = find_spec('numpy')
+    text = Path(spec.origin).with_name('version.py').read_text() if spec and spec.origin else ''
+    if re.search(r'^version = "(1|2\.[0-3])\.', text, re.MULTILINE):
+        return 'AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL'
+    return 'X86_V4 AVX512_ICL AVX512_SPR'
+
+
 PINS = {
-    'NPY_DISABLE_CPU_FEATURES': 'X86_V4 AVX512_ICL AVX512_SPR',
+    'NPY_DISABLE_CPU_FEATURES': _newer_of_numpy(),
     'OPENBLAS_CORETYPE': 'Haswell',
     'OPENCV_IPP': 'avx2',
     'OPENCV_CPU_DISABLE': 'AVX512-SKX',

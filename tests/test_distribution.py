@@ -64,7 +64,7 @@ def test_given_the_source_distribution_then_it_has_all_that_builds_installs_and_
         packed = {one.name.partition('/')[2] for one in archive.getmembers() if one.isfile()}
     wanted = files(
         'taxinet_ros/**/*', 'scripts/*', 'resource/*', 'package.xml', 'setup.py', 'pyproject.toml',
-        'constraints.txt', 'LICENSE', 'CITATION.cff', 'QUALITY_DECLARATION.md', 'CHANGELOG.rst',
+        'constraints*.txt', 'LICENSE', 'CITATION.cff', 'QUALITY_DECLARATION.md', 'CHANGELOG.rst',
         'README.md', 'MANIFEST.in', *(f'{folder}/**/*' for folder in SHARED),
     )
     assert len(wanted) > 500

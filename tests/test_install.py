@@ -94,12 +94,28 @@ def test_given_the_environment_when_pip_checks_it_then_nothing_is_missing_or_cla
 
 
 def test_given_the_requirements_when_compared_with_constraints_then_each_is_at_its_pin() -> None:
-    lines = (REPOSITORY / 'constraints.txt').read_text().splitlines()
-    pins = dict(line.split('==') for line in lines if '==' in line and not line.startswith('#'))
+    stock = Version(metadata.version('numpy')).major == 1
+    pins = pins_of('constraints-noble.txt' if stock else 'constraints.txt')
     names = [canonicalize_name(requirement.name) for requirement in requirements()]
     assert len(names) > 20
     installed = {name: Version(metadata.version(name)).public for name in names}
     assert installed == {name: pins.get(name) for name in names}
+
+
+def pins_of(name: str) -> dict[str, str]:
+    lines = (REPOSITORY / name).read_text().splitlines()
+    return dict(line.split('==') for line in lines if '==' in line and not line.startswith('#'))
+
+
+def test_given_the_pins_for_ubuntu_24_04_then_they_differ_where_numpy_1_asks_for_it() -> None:
+    pins, noble = pins_of('constraints.txt'), pins_of('constraints-noble.txt')
+    assert {name for name in {*pins, *noble} if pins.get(name) != noble.get(name)} == {
+        'numpy', 'opencv-python', 'opencv-python-headless', 'pandas', 'pyarrow', 'ml-dtypes'}
+    assert noble['numpy'] == '1.26.4'
+    words = ['make', '-n', 'install', 'HASHES=yes', 'CONSTRAINTS=constraints-noble.txt']
+    done = run(*words, cwd=REPOSITORY)
+    assert done.returncode == 2
+    assert 'HASHES names the files of constraints.txt' in done.stderr
 
 
 def test_f10_given_the_pins_then_each_has_hashes_and_a_maker_of_them() -> None:
