@@ -151,9 +151,16 @@ def environment(folder: Path) -> Environment:
         'counts': count_words,
         'signed': lambda value, digits=2: decimals(value, digits, sign='+'),
         'p': lambda value: 'p < 0.001' if value < 0.001 else f'p = {value:.3f}',
+        'file_name': _file_name,
         'capital': lambda text: text[:1].upper() + text[1:],
     }
     return found
+
+
+def _file_name(word: str) -> str:
+    """A word, or the name of its file: where that lies on this machine says nothing elsewhere."""
+    path = Path(word)
+    return path.name if path.is_absolute() else word
 
 
 def decimals(value: float, digits: int, sign: str = '') -> str:

@@ -181,12 +181,10 @@ def _make(out: Path) -> None:
 def _write(found: Explanation, out: Path) -> Path:
     """Write images, JSON and page; return the page's path."""
     from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.analysis.report.pictures import write_pictures
 
     report = explain_report(found)
-    for section in report.sections:
-        for picture in section.pictures:
-            write_png(picture, out, LIGHT)
+    write_pictures(report, out)
     write_atomically(
         out / JSON_NAME, json.dumps(explain_json(found), indent=2, allow_nan=False) + '\n')
     write_report_page(report, out / PAGE_NAME)

@@ -59,7 +59,7 @@ def write_study_report(
         OSError: a file cannot be written.
     """
     from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.analysis.report.pictures import write_pictures
 
     found = gather_findings(config, out, tables)
     folder = out / REPORT
@@ -70,9 +70,7 @@ def write_study_report(
     for name, frame in found.frames().items():
         _write_table(frame, folder / f'{name}.parquet')
     report = study_report(found)
-    for section in report.sections:
-        for picture in section.pictures:
-            write_png(picture, folder, LIGHT)
+    write_pictures(report, folder)
     write_report_page(report, folder / PAGE_NAME)
     text = json.dumps(study_values(found), indent=2, allow_nan=False, ensure_ascii=False)
     write_atomically(folder / JSON_NAME, text + '\n')
