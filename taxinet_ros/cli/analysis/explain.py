@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from taxinet_ros.analysis.explain.explain import Explanation, explain, explain_sentences
+from taxinet_ros.analysis.explain.explain import Explanation, explain
 from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingImages
 from taxinet_ros.analysis.explain.report import explain_json, explain_report
 from taxinet_ros.bag.run.facts import RecordedRun
@@ -94,7 +94,7 @@ def run_explain(options: ExplainOptions) -> int:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
         return ExitCode.OK
     console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
-    for sentence in explain_sentences(found):
+    for sentence in explain_report(found).summary:
         console.print(sentence, soft_wrap=True, markup=False)
     console.print(f'page: {written}', soft_wrap=True, markup=False)
     return ExitCode.OK
