@@ -150,7 +150,7 @@ def environment(folder: Path) -> Environment:
         'decimals': decimals,
         'counts': count_words,
         'signed': lambda value, digits=2: decimals(value, digits, sign='+'),
-        'p': lambda value: 'p < 0.001' if value < 0.001 else f'p = {value:.3f}',
+        'p': p_words,
         'file_name': _file_name,
         'capital': lambda text: text[:1].upper() + text[1:],
     }
@@ -161,6 +161,11 @@ def _file_name(word: str) -> str:
     """A word, or the name of its file: where that lies on this machine says nothing elsewhere."""
     path = Path(word)
     return path.name if path.is_absolute() else word
+
+
+def p_words(value: float) -> str:
+    """Display text of a p value."""
+    return 'p < 0.001' if value < 0.001 else f'p = {value:.3f}'
 
 
 def decimals(value: float, digits: int, sign: str = '') -> str:

@@ -98,7 +98,8 @@ def test_given_a_run_with_faults_in_wind_then_it_is_explained_by_runs_without_ea
         'camera_freeze_s', 'lens_drops_percent', 'faults',
     ]
     assert 'Driven again without the drops on the lens, the run ' in out
-    assert 'Driven again without the drops on the lens' in (tmp_path / 'x' / 'explain.html').read_text()
+    page = (tmp_path / 'x' / 'explain.html').read_text()
+    assert 'Driven again without the drops on the lens' in page
 
 
 def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_page(
