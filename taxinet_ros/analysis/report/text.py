@@ -141,7 +141,7 @@ def environment(folder: Path) -> Environment:
         loader=FileSystemLoader(folder), undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True, autoescape=False,  # plain text, no markup
     )
-    found.tests['known'] = math.isfinite
+    found.tests['known'] = lambda value: value is not None and math.isfinite(value)
     found.filters |= {
         'count': lambda number: f'{number:,}',
         'many': lambda number, noun: f'{number:,} {noun}{"" if number == 1 else "s"}',
