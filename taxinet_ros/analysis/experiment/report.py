@@ -222,7 +222,7 @@ def experiment_report(found: PairedArms) -> Report:
         'greatest': {one.arm: _greatest_change(found, one) for one in found.comparisons},
         'unjudged': {arm: count_outcomes(rows) for arm, rows in unjudged.items() if rows},
     }
-    pairs = {
+    pairs: dict[str, Sequence[Picture | Table]] = {
         f'pairs-{one.arm}': (change_picture(found, one), *_flips_tables(found, one))
         for one in found.comparisons
     }

@@ -22,7 +22,6 @@ from taxinet_ros.analysis.explain.counterfactual import (
     run_factors,
     taken_again,
 )
-from taxinet_ros.analysis.explain.nearest_images import NearestImages, Nearness
 from taxinet_ros.analysis.explain.occlusion import OcclusionMap, changed_pixels, occlusion_map
 from taxinet_ros.analysis.explain.track import (
     Estimator,
@@ -59,13 +58,11 @@ class Insight:
         occlusion: dependence of the estimate on parts of its frame.
         parts: shares of the frame and of the effect on the estimate (0..1 each) of the aircraft's
             shadow and the crossing, by the factor's name, as far as they are visible.
-        nearness: comparison with the training images; None if none were given.
     """
 
     moment: Moment
     occlusion: OcclusionMap
     parts: dict[str, tuple[float, float]]
-    nearness: Nearness | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,7 +78,6 @@ class Explanation:
         insights: the examined moments in order of time, at least one.
         effects: effects of changing the scene at these moments, in the factors' order; empty if the
             run cannot be rerun.
-        training: the training images, or None.
         reruns: the whole run as recorded, and without what failed in it or pushed the aircraft;
             empty if nothing did.
         not_rerun: why there are none, though something did; '' otherwise.
@@ -99,7 +95,6 @@ class Explanation:
     track: Track
     insights: tuple[Insight, ...]
     effects: tuple[Effect, ...]
-    training: NearestImages | None
     reruns: tuple[Rerun, ...] = ()
     not_rerun: str = ''
     not_modified: str = ''
@@ -126,7 +121,7 @@ class Explanation:
 
 def explain(
     recording: Recording, perception: Perception, *, frames: int,
-    training: NearestImages | None = None, on_progress: Progress = lambda stage, done, total: None,
+    on_progress: Progress = lambda stage, done, total: None,
     renderer: ChosenRenderer | None = None,
 ) -> Explanation:
     """Explain a run.
@@ -135,7 +130,6 @@ def explain(
         recording: recording of the run.
         perception: a network.
         frames: maximum number of moments to examine, at least 1.
-        training: images to compare the frames with.
         on_progress: called with the progress.
         renderer: the run's camera, where that is not ours, asked for pictures of modified scenes;
             None: they are not modified.
@@ -177,11 +171,11 @@ def explain(
     )
     insights = []
     for number, moment in enumerate(chosen):
-        insights.append(_insight(number, moment, look, track, found, run, training))
+        insights.append(_insight(number, moment, look, track, found))
         on_progress('maps', number + 1, len(chosen))
     return Explanation(
         bag=bag, run=run, perception=perception.word, fingerprint=perception.fingerprint,
-        track=track, insights=tuple(insights), effects=found, training=training,
+        track=track, insights=tuple(insights), effects=found,
         reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
         hidden=() if renderer is None else not_shown(renderer.shows),
         outcome='' if recording.facts is None else recording.facts.outcome,
@@ -226,8 +220,7 @@ def _driven_again(
 
 
 def _insight(
-    number: int, moment: Moment, look: Estimator, track: Track, found: tuple[Effect, ...],
-    run: RecordedRun, training: NearestImages | None,
+    number: int, moment: Moment, look: Estimator, track: Track, found: tuple[Effect, ...]
 ) -> Insight:
     occlusion = occlusion_map(look, moment.image, track.gains)
     parts = {}
@@ -235,18 +228,7 @@ def _insight(
         if effect.factor.name in PARTS and effect.outcomes[number].changed > 0:
             mask = changed_pixels(moment.image, effect.outcomes[number].image)
             parts[effect.factor.name] = (float(mask.mean()), occlusion.share(mask))
-    nearness = None if training is None else training.near(moment.image, _scene(moment, run))
-    return Insight(moment=moment, occlusion=occlusion, parts=parts, nearness=nearness)
-
-
-def _scene(moment: Moment, run: RecordedRun) -> dict[str, float | str]:
-    """Scene values by the names used in training sets."""
-    human = run.request.scenario.to_human()
-    return {
-        'cte_m': moment.truth.cte_m,
-        'heading_error_deg': float(np.degrees(moment.truth.he_rad)),
-        **{name: human[name] for name in ('time_of_day_h', 'rain_percent', 'clouds')},
-    }
+    return Insight(moment=moment, occlusion=occlusion, parts=parts)
 
 
 PARTS = {

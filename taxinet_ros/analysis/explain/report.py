@@ -11,7 +11,6 @@ from taxinet_ros.analysis.explain.counterfactual import LEAST_SHARE
 from taxinet_ros.analysis.explain.explain import (
     PARTS,
     Explanation,
-    Insight,
     effect_words,
     error_words,
     moment_words,
@@ -19,7 +18,6 @@ from taxinet_ros.analysis.explain.explain import (
 from taxinet_ros.analysis.explain.pictures import (
     error_picture,
     factor_picture,
-    nearest_picture,
     occlusion_picture,
     scene_picture,
 )
@@ -72,12 +70,6 @@ def _figures(found: Explanation) -> dict[str, Sequence[Picture | Table]]:
     if found.effects:
         scenes = (scene_picture(found, number) for number in range(len(found.insights)))
         figures['scenes'] = (factor_picture(found), *scenes, _factor_table(found))
-    if found.training is not None:
-        nearest = (
-            nearest_picture(insight, found.training.images) for insight in found.insights
-            if insight.nearness is not None
-        )
-        figures['training'] = (*nearest, _nearest_table(found))
     return figures
 
 
@@ -156,24 +148,6 @@ def _factor_table(found: Explanation) -> Table:
     )
 
 
-def _nearest_table(found: Explanation) -> Table:
-    return Table(
-        name='explain-nearest', title='How far from the training images', caption='',
-        columns=(
-            Column(name='t_s', title='time [s]', decimals=1),
-            Column(name='distance', title='to the nearest [grey levels]', decimals=1),
-            Column(name='usual', title='usual there [grey levels]', decimals=1),
-            Column(name='farther_than_percent', title='farther than [% of images]', decimals=1),
-            Column(name='out_of_distribution', title='out of distribution'),
-        ),
-        rows=tuple(
-            (insight.moment.t_s, near.by_picture[0].distance, near.usual, 100 * near.farther_than,
-             near.foreign)
-            for insight in found.insights if (near := insight.nearness) is not None
-        ),
-    )
-
-
 def _cells(moment: Moment, estimate: TrackingError, misled_rad: float) -> tuple[Cell, ...]:
     if not estimate.usable:
         return (None,) * len(_ESTIMATE)
@@ -203,21 +177,6 @@ def _moment_json(found: Explanation, number: int) -> dict[str, Any]:
             name: {'picture': area, 'effect': weight}
             for name, (area, weight) in insight.parts.items()
         },
-        'nearest': _nearness_json(found, insight),
-    }
-
-
-def _nearness_json(found: Explanation, insight: Insight) -> dict[str, Any] | None:
-    near = insight.nearness
-    if near is None or found.training is None:
-        return None
-    names = found.training.images.scenes['image']
-    return {
-        'farther_than': near.farther_than, 'usual': near.usual,
-        'out_of_distribution': near.foreign,
-        'by_picture': [{'image': names.iloc[n.row], 'distance': n.distance}
-                       for n in near.by_picture],
-        'by_scene': [{'image': names.iloc[n.row], 'distance': n.distance} for n in near.by_scene],
     }
 
 
