@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 from matplotlib.style import context as style_context
@@ -48,7 +47,6 @@ def png_bytes(picture: Picture, theme: Theme) -> bytes:
             figsize=picture.size_in, dpi=DOTS_PER_INCH, layout='constrained',
             facecolor=theme.paper,
         )
-        FigureCanvasAgg(figure)
         picture.draw(figure, theme)
         figure.savefig(buffer, format='png', metadata={'Software': None})
     return buffer.getvalue()

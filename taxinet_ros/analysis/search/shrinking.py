@@ -16,7 +16,8 @@ from taxinet_ros.analysis.one_run.trajectories import BAND_M, Trajectory
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.analysis.report.parts import Column, Picture, Section, Table, Theme
 from taxinet_ros.analysis.report.parts import Report as PageReport
-from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+from taxinet_ros.analysis.report.pictures import write_pictures
+from taxinet_ros.analysis.report.values import signs
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import NS_PER_S
@@ -132,9 +133,7 @@ def write_shrunk(options: ShrinkOptions, found: Report, runs: int) -> list[str]:
     write_atomically(out / PROGRAM_NAME, scenario_program(found.scenario, about, remarks))
     write_atomically(out / JSON_NAME, json.dumps(_as_json(options, found, runs), indent=2) + '\n')
     report = shrink_report(options, found, runs)
-    for section in report.sections:
-        for picture in section.pictures:
-            write_png(picture, out, LIGHT)
+    write_pictures(report, out)
     write_report_page(report, out / PAGE_NAME)
     pictures = [PICTURE_NAME] if report.sections[0].pictures else []
     return [PAGE_NAME, PROGRAM_NAME, JSON_NAME, *pictures]
@@ -183,11 +182,6 @@ def shrink_report(options: ShrinkOptions, found: Report, runs: int) -> PageRepor
     )
 
 
-def _signs(words: str) -> str:
-    words = f'−{words[1:]}' if words.startswith('-') else words
-    return words.replace(' deg', '°')
-
-
 def _parameters(found: Report) -> Table:
     return Table(
         name='parameters', title='Every parameter', caption='ρ with this one parameter nominal.',
@@ -199,7 +193,7 @@ def _parameters(found: Report) -> Table:
             Column(name='matters', title='matters'),
         ),
         rows=tuple(
-            (one.key, *(_signs(one.words(value))
+            (one.key, *(signs(one.words(value))
                         for value in (one.original, one.nominal, one.shrunk)),
              one.rho_in_original, one.rho_in_shrunk,
              'nominal already' if one.original == one.nominal else one.matters)
