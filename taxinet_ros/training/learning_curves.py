@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
@@ -34,7 +33,6 @@ def learning_curves(history: Sequence[Epoch], best_epoch: int, title: str) -> by
         title: title of the picture.
     """
     figure = Figure(figsize=(13.5, 4.3), dpi=110, layout='constrained')
-    FigureCanvasAgg(figure)
     losses, errors, rate = figure.subplots(1, 3, width_ratios=(1.2, 1.2, 1.0))
     _draw_losses(losses, history)
     _draw_errors(errors, history, best_epoch)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
@@ -53,7 +52,6 @@ def network_view(network: OnnxNetwork, scene: Scenario) -> NetworkView:
 def draw_network_view(found: NetworkView, title: str, path: Path) -> None:
     """Draw the frame with its crop into a PNG file, and beside it the network's input."""
     figure = Figure(figsize=(11.0, 3.4), dpi=100, layout='constrained')
-    FigureCanvasAgg(figure)
     before, after = figure.subplots(1, 2)
     before.imshow(found.frame)
     left, top, right, bottom = found.crop

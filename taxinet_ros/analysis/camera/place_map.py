@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -32,7 +31,6 @@ _WIDTH_IN = 11.0
 def plot_place(place: Place, path: Path) -> None:
     """Draw a place into a PNG file; the same place gives the same bytes."""
     figure = Figure(dpi=100, layout='constrained')
-    FigureCanvasAgg(figure)
     runway = place.runway
     outlines = [_outline(runway), *(area.outline for area in place.pavements)]
     outlines += [track.strip(track.half_width_m) for track in place.tracks]

@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
@@ -66,7 +65,6 @@ def draw_camera(camera: CameraModel, aircraft: AircraftModel, path: Path) -> Non
     scene = Scenario(camera=camera.text, aircraft=aircraft.text, time_of_day_s=_HOUR_S)
     frame = scene_picture(scene)
     figure = Figure(figsize=(11.0, 8.6), dpi=100, layout='constrained')
-    FigureCanvasAgg(figure)
     view, beside = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
     view.imshow(frame)
     view.set_title(f'{camera.title}, on {aircraft.title}')

@@ -9,9 +9,9 @@ other would then have fewer by chance.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,17 +31,18 @@ from taxinet_ros.analysis.report.parts import (
     Column,
     Picture,
     Report,
-    Section,
     Table,
     Theme,
     style_axes,
 )
+from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.errors import UsageError
 
+TEXT = Path(__file__).with_name('compared.j2')
 _SIGNIFICANT = 0.05
 _SHOWN = ('time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg')
 _MOST_SHOWN = 15.0
@@ -151,94 +152,6 @@ def _causes(
     ), alpha)
 
 
-def compared_sentences(found: Compared) -> Iterator[str]:
-    """The findings, the most important first."""
-    one, other = found.before.label, found.after.label
-    rates = found.satisfied
-    count = f'{rates.pairs:,} {"scene" if rates.pairs == 1 else "scenes"}'
-    yield (
-        f'{_verdict(found)} Of {count} that both were run in, {one} satisfies '
-        f'{found.after.spec} in {rates.first:,}, {other} in {rates.second:,}'
-        f'{_difference(found)}.'
-    )
-    yield (
-        f'{rates.only_second:,} got better (only {other} satisfies), {rates.only_first:,} got '
-        f'worse (only {one} satisfies), {rates.both:,} are satisfied by both and '
-        f'{rates.neither:,} by neither.'
-    )
-    if found.rho.more + found.rho.less:
-        value, low, high = found.rho.change
-        known = '' if math.isnan(low) else f' ({low:+.2f} to {high:+.2f})'
-        yield (
-            f'Robustness typically changes by {value:+.2f}{known}: it grows in '
-            f'{found.rho.more:,} and shrinks in {found.rho.less:,} scenes.'
-        )
-    for word, causes, number in (
-        ('worse', found.worse, rates.only_first), ('better', found.better, rates.only_second),
-    ):
-        yield from _cause_sentences(word, causes, number)
-    yield from _reservations(found)
-
-
-def _verdict(found: Compared) -> str:
-    one, other = found.before.label, found.after.label
-    if not found.tested:
-        return f'No test says whether {other} is better than {one}: {_why_untested(found)}.'
-    if not found.clear:
-        return f'No difference between {one} and {other} is proven.'
-    word = 'better' if found.satisfied.difference.value > 0 else 'worse'
-    return f'{other} is {word} than {one}.'
-
-
-def _why_untested(found: Compared) -> str:
-    if found.before.anytime or found.after.anytime:
-        return 'the number of runs was not fixed before the first one'
-    samplers = {runs.sampler for runs in (found.before, found.after) if runs.sampler}
-    return (
-        f'the scenes were chosen by {" and ".join(sorted(samplers)) or "a sampler"}, and the '
-        'figures are those of these scenes only'
-    )
-
-
-def _difference(found: Compared) -> str:
-    gap = found.satisfied.difference
-    value, low, high = (f'{100 * part:+.1f}'.replace('-', '−') for part in gap)
-    if not found.tested:
-        return f': {value} points of these scenes'
-    p = found.satisfied.p_value
-    return f': {value} points ({low} to {high}, p {"< 0.001" if p < 0.001 else f"= {p:.3f}"})'
-
-
-def _cause_sentences(word: str, causes: Causes, number: int) -> Iterator[str]:
-    if not number:
-        return
-    if not causes.found:
-        why = ': too few' if number < LEAST_FAILURES else ''
-        scenes = 'scene' if number == 1 else 'scenes'
-        yield f'No cause of the {number:,} {scenes} that got {word} was found{why}.'
-    for cause in causes.found:
-        inside = cause.inside
-        yield (
-            f'Got {word}: {cause.region.words()}, {inside.failures:,} of {inside.runs:,} scenes '
-            f'({100 * inside.rate:.0f} %), elsewhere {100 * cause.outside.rate:.1f} % '
-            f'({cause.p_words()}).'
-        )
-
-
-def _reservations(found: Compared) -> Iterator[str]:
-    if found.unpaired:
-        have = 'run has' if found.unpaired == 1 else 'runs have'
-        yield f'Not compared: {found.unpaired:,} {have} no counterpart.'
-    if found.uncounted:
-        which = 'scene' if found.uncounted == 1 else 'scenes'
-        yield (
-            f'In no figure: {found.uncounted:,} more {which} that both were run in. A test is '
-            'valid for scenes that the program itself drew, in a number fixed beforehand.'
-        )
-    if found.differing:
-        yield f'Not known to be the same: {", ".join(found.differing)}.'
-
-
 def changed_table(found: Compared) -> Table:
     """Scenes with different verdicts, those that got worse first, the greatest change first."""
     frame = found.scenes
@@ -283,19 +196,11 @@ def changed_table(found: Compared) -> Table:
 
 def compared_report(found: Compared) -> Report:
     """The page."""
-    return Report(
-        title=f'{found.before.label} and {found.after.label} on the same scenes',
-        facts={
-            'before': f'{found.before.label}, {len(found.before.frame):,} runs',
-            'after': f'{found.after.label}, {len(found.after.frame):,} runs',
-            'scenes': f'{len(found.scenes):,}', 'program': found.after.program,
-            'requirement': found.after.spec,
-        },
-        summary=tuple(compared_sentences(found)),
-        sections=(Section(
-            name='scenes', heading='Scene by scene', pictures=(_picture(found),),
-            tables=(changed_table(found),),
-        ),),
+    return fill_report(
+        TEXT, {'f': found, 'one': found.before.label, 'other': found.after.label,
+               'samplers': sorted({runs.sampler for runs in (found.before, found.after)} - {''}),
+               'least': LEAST_FAILURES},
+        {'scenes': (_picture(found), changed_table(found))},
     )
 
 
@@ -333,7 +238,8 @@ def _draw(found: Compared, figure: Figure, theme: Theme) -> None:
 def compared_json(found: Compared) -> dict[str, Any]:
     """Everything as plain values."""
     rates, gap = found.satisfied, found.satisfied.difference
-    table = changed_table(found)
+    report = compared_report(found)
+    (table,) = report.sections[0].tables
     names = [column.name for column in table.columns]
     return plain_values({
         'before': found.before.label, 'after': found.after.label, 'spec': found.after.spec,
@@ -354,6 +260,6 @@ def compared_json(found: Compared) -> dict[str, Any]:
             ] for word, causes in (('better', found.better), ('worse', found.worse))
         },
         'changed': [dict(zip(names, row, strict=True)) for row in table.rows],
-        'differing': list(found.differing), 'sentences': list(compared_sentences(found)),
+        'differing': list(found.differing), 'sentences': list(report.summary),
         'made_on': dict(provenance()),
     })

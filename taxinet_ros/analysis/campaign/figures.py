@@ -1,7 +1,7 @@
 """Figures of a campaign: failure rates and robustness over the features of the scenes.
 
 Rates in bins of each feature, with intervals, and over two features at once; robustness as in the
-paper's Figures 4 to 7; and the axes and colours that they share.
+paper's Figures 4 and 6; causes; and the axes and colours that they share.
 """
 
 from __future__ import annotations
@@ -18,21 +18,20 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
+from taxinet_ros.analysis.campaign.findings import Findings
+from taxinet_ros.analysis.causes.causes import FoundRate
+from taxinet_ros.analysis.causes.region import Region
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.analysis.runs.bins import Bin, bins, medians
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, Weighting
 from taxinet_ros.analysis.runs.features import (
-    CLOUDS_KIND,
-    CROSS_TRACK,
     DISTANCE,
-    HEADING,
     PAPER_FEATURES,
     RAIN,
     TIME_OF_DAY,
     Feature,
     Floats,
     Form,
-    kinds_present,
 )
 from taxinet_ros.core.scenario_fields import clock_words
 
@@ -55,35 +54,27 @@ def dot_style(runs: int) -> dict[str, Any]:
     return {'s': 5 + 13 * crowd, 'alpha': 0.35 + 0.5 * crowd, 'linewidths': 0}
 
 
-def rho_axis(axis_of: Axes, rho: Floats, theme: Theme, *, vertical: bool = True) -> None:
-    """Set up an axis for robustness: linear near zero, logarithmic far from it.
-
-    Args:
-        axis_of: the plot.
-        rho: all values shown.
-        theme: colours.
-        vertical: whether it is the vertical axis.
-    """
+def _rho_axis(axes: Axes, rho: Floats, theme: Theme) -> None:
+    """Set up the vertical axis for robustness: linear near zero, logarithmic far from it."""
     known = rho[np.isfinite(rho)]
     low = min(float(known.min(initial=0.0)), 0.0)
     high = max(float(known.max(initial=0.0)), 0.0)
-    axis = axis_of.yaxis if vertical else axis_of.xaxis
-    far = max(-low, high) > _LINEAR
     label = 'robustness ρ'
-    if far:
-        scale = axis_of.set_yscale if vertical else axis_of.set_xscale
-        scale('symlog', linthresh=_LINEAR, linscale=1.1)
-        axis.set_major_locator(FixedLocator(_rho_ticks(low, high)))
-        axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value:g}'.replace('-', '−')))
-        label += f'\n(logarithmic beyond ±{_LINEAR:g})' if vertical else (
-            f' (logarithmic beyond ±{_LINEAR:g})')
-    limits = axis_of.set_ylim if vertical else axis_of.set_xlim
+    if max(-low, high) > _LINEAR:
+        axes.set_yscale('symlog', linthresh=_LINEAR, linscale=1.1)
+        axes.yaxis.set_major_locator(FixedLocator(_rho_ticks(low, high)))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(
+            FuncFormatter(lambda value, _: f'{value:g}'.replace('-', '−')))
+        label += f'\n(logarithmic beyond ±{_LINEAR:g})'
     pad = 0.12 * max(high - low, 0.5)
-    limits(low * 1.35 if low < -_LINEAR else min(low - pad, -0.3),
-           high * 1.35 if high > _LINEAR else max(high, 0.3) + min(pad, 0.5))
-    axis.set_label_text(label)
-    _shade_failures(axis_of, theme, vertical=vertical)
+    axes.set_ylim(
+        low * 1.35 if low < -_LINEAR else min(low - pad, -0.3),
+        high * 1.35 if high > _LINEAR else max(high, 0.3) + min(pad, 0.5))
+    axes.set_ylabel(label)
+    # Runs in the shaded half fail.
+    axes.axhspan(axes.get_ylim()[0], 0, color=theme.failed, alpha=0.07, linewidth=0, zorder=0)
+    axes.axhline(0, color=theme.ink, linewidth=0.9, zorder=1.5)
 
 
 def feature_axis(axes: Axes, feature: Feature, values: Floats) -> None:
@@ -106,24 +97,12 @@ def hour_ticks(axes: Axes, low: float, high: float) -> None:
     axes.set_xticks(ticks, [clock_words(tick) for tick in ticks])
 
 
-def all_rho(campaigns: Sequence[CampaignRuns]) -> Floats:
-    """Robustness of all runs of all campaigns."""
-    return np.concatenate([runs.frame['rho'].to_numpy(dtype=np.float64) for runs in campaigns])
-
-
 def _rho_ticks(low: float, high: float) -> list[float]:
     """Round values: every integer near zero, a few in every decade far from it."""
     decades = [part * 10**power for power in range(4) for part in _TICKS]
     far = [value for value in decades if value > _LINEAR]
     values = [-value for value in far if -value >= low * 1.3]
     return sorted([*values, -2.0, -1.0, 0.0, 1.0, *(v for v in (2.0, *far) if v <= high * 1.3)])
-
-
-def _shade_failures(axes: Axes, theme: Theme, *, vertical: bool) -> None:
-    low = (axes.get_ylim() if vertical else axes.get_xlim())[0]
-    span, line = (axes.axhspan, axes.axhline) if vertical else (axes.axvspan, axes.axvline)
-    span(low, 0, color=theme.failed, alpha=0.07, linewidth=0, zorder=0)
-    line(0, color=theme.ink, linewidth=0.9, zorder=1.5)
 
 
 _COLUMNS = 2
@@ -188,34 +167,6 @@ def map_picture(runs: CampaignRuns, across: Feature, up: Feature, name: str) -> 
         caption='The share of runs that fail [%] in each cell, below it the number of runs; a cell '
         f'without numbers has no such run{_meaning([runs])}.',
         size_in=(7.6, 1.1 + 0.46 * len(rows)),
-    )
-
-
-def distribution_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
-    """Cumulative distribution of robustness."""
-
-    def draw(figure: Figure, theme: Theme) -> None:
-        axes = figure.subplots()
-        colours = network_colours(len(campaigns), theme) if len(campaigns) > 1 else [theme.ink]
-        for runs, colour in zip(campaigns, colours, strict=True):
-            rho, weight = runs.frame['rho'].to_numpy(), runs.weight
-            order = np.argsort(rho, kind='stable')
-            shares = np.nan_to_num(weight, nan=1.0)[order].cumsum()
-            shares /= shares[-1]
-            axes.step(rho[order], shares, where='post', color=colour, linewidth=1.8,
-                      label=f'{runs.label}: {100 * runs.rate().rate:.1f} % fail', zorder=3)
-            axes.plot([0], [runs.rate().rate], marker='o', color=colour, markersize=5, zorder=4)
-        rho_axis(axes, all_rho(campaigns), theme, vertical=False)
-        axes.set_ylim(0, 1.02)
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=' %'))
-        axes.set_ylabel('runs with at most this ρ')
-        style_axes(axes)
-        axes.legend(frameon=False, fontsize=9, loc='lower right')
-
-    return Picture(
-        name='rho_distribution', title='How robust the runs are', draw=draw,
-        caption='The share of runs whose robustness is at most that on the axis; at 0 it is the '
-        f'share that fails{_meaning(campaigns)}.',
     )
 
 
@@ -298,9 +249,8 @@ def _meaning(campaigns: Sequence[CampaignRuns]) -> str:
     return '; of the runs drawn by the program itself' if Weighting.WEIGHTED in kinds else ''
 
 
-_WIDTHS = {TIME_OF_DAY: 0.5, DISTANCE: 50.0, HEADING: 5.0, CROSS_TRACK: 1.0}
-_BIN_WORDS = {TIME_OF_DAY: '30 minutes', DISTANCE: '50 m', HEADING: '5°', CROSS_TRACK: '1 m'}
-_MARKS = ('o', 's', '^', 'v', 'D', 'P')
+_WIDTHS = {TIME_OF_DAY: 0.5, DISTANCE: 50.0}
+_BIN_WORDS = {TIME_OF_DAY: '30 minutes', DISTANCE: '50 m'}
 
 
 def rho_picture(campaigns: Sequence[CampaignRuns], feature: Feature, name: str) -> Picture:
@@ -325,42 +275,14 @@ def rho_picture(campaigns: Sequence[CampaignRuns], feature: Feature, name: str) 
             _one(axes, campaigns[0], feature, theme)
         else:
             _several(axes, campaigns, feature, theme)
-        rho_axis(axes, all_rho(campaigns), theme)
+        rho = [runs.frame['rho'].to_numpy(dtype=np.float64) for runs in campaigns]
+        _rho_axis(axes, np.concatenate(rho), theme)
         values = np.concatenate([runs.frame[feature.name].to_numpy() for runs in campaigns])
         feature_axis(axes, feature, values)
         style_axes(axes)
 
     return Picture(
         name=name, title=f'Robustness over {feature.title}', caption=caption, draw=draw,
-    )
-
-
-def clouds_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
-    """Medians over the time of day, for each kind of clouds; one panel per network."""
-    dry = any(not _rain(runs).all() for runs in campaigns)
-
-    def draw(figure: Figure, theme: Theme) -> None:
-        panels = figure.subplots(len(campaigns), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, runs in zip(panels, campaigns, strict=True):
-            _clouds(axes, runs, theme, dry=dry)
-            rho_axis(axes, all_rho(campaigns), theme)
-            style_axes(axes)
-            if len(campaigns) > 1:
-                axes.set_title(runs.label, fontsize=10, loc='left')
-        hours = np.concatenate([runs.frame[TIME_OF_DAY.name].to_numpy() for runs in campaigns])
-        feature_axis(panels[-1], TIME_OF_DAY, hours)
-        handles = {label: line for axes in panels
-                   for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-        kinds = [kind for kind in CLOUDS_KIND.kinds if kind in handles]
-        figure.legend([handles[kind] for kind in kinds], kinds, loc='outside upper center',
-                      ncols=6, frameon=False, fontsize=9, columnspacing=1.2, handlelength=1.6)
-
-    among = 'without rain ' if dry else ''
-    return Picture(
-        name='rho_by_hour_and_clouds', title='Median robustness by kind of clouds',
-        caption=f'Medians of the runs {among}in 30 minutes each. A line that drops alone shows an '
-        'hour that is difficult only under that sky.',
-        draw=draw, size_in=(7.0, 0.8 + 2.9 * len(campaigns)),
     )
 
 
@@ -413,18 +335,6 @@ def _median_line(
                      marker='o' if len(values) < 2 else '', markersize=4, zorder=4)
 
 
-def _clouds(axes: Axes, runs: CampaignRuns, theme: Theme, *, dry: bool) -> None:
-    colours = (theme.passed, *theme.others, theme.failed)
-    frame = runs.frame[~_rain(runs)] if dry else runs.frame
-    for kind in kinds_present(CLOUDS_KIND, frame):
-        number = CLOUDS_KIND.kinds.index(kind) if kind in CLOUDS_KIND.kinds else 0
-        some = frame[frame[CLOUDS_KIND.name] == kind]
-        middles, values, _ = medians(
-            some[TIME_OF_DAY.name].to_numpy(), some['rho'].to_numpy(), _WIDTHS[TIME_OF_DAY])
-        axes.plot(middles, values, color=colours[number], marker=_MARKS[number], markersize=4,
-                  linewidth=1.6, label=kind, zorder=3)
-
-
 def _values(runs: CampaignRuns, feature: Feature) -> tuple[Floats, Floats]:
     return (runs.frame[feature.name].to_numpy(dtype=np.float64),
             runs.frame['rho'].to_numpy(dtype=np.float64))
@@ -437,3 +347,62 @@ def _rain(runs: CampaignRuns) -> np.ndarray:
 def _legend(axes: Axes, handles: list[Line2D]) -> None:
     axes.legend(handles=handles, loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=4,
                 frameon=False, fontsize=9, columnspacing=1.4, handlelength=1.8)
+
+
+_LONGEST = 44
+"""Characters of a region on one line."""
+
+
+def causes_picture(findings: Findings) -> Picture:
+    """The failure rate in each cause and outside, for each network."""
+    causes, several = findings.causes.found, len(findings.campaigns) > 1
+    rows = [f'{cause.rank}  {_wrapped(cause.region)}' for cause in causes]
+    rows.append('outside all of them')
+    rates: list[list[GroupRate | FoundRate]] = [
+        [*(cause.whole if several else cause.inside for cause in causes), findings.causes.rest]]
+    rates += [[*one.in_causes, one.off_causes] for one in findings.comparisons]
+
+    def draw(figure: Figure, theme: Theme) -> None:
+        axes = figure.subplots()
+        colours = network_colours(len(rates), theme) if several else [theme.failed]
+        for number, (found, colour) in enumerate(zip(rates, colours, strict=True)):
+            shift = (number - (len(rates) - 1) / 2) * 0.5 / len(rates)
+            _forest(axes, found, colour, shift, findings.campaigns[number].label)
+        axes.set_yticks(range(len(rows)), rows, fontsize=9)
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_xlim(-0.02, 1.02)
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0, symbol=' %'))
+        axes.set_xlabel('runs that fail')
+        style_axes(axes, grid='x')
+        if several:
+            axes.legend(loc='lower center', bbox_to_anchor=(0.4, 1.0), ncols=3, frameon=False,
+                        fontsize=9)
+
+    which = 'all runs in it' if several else 'its runs not in causes above it'
+    lines = sum(1 + row.count('\n') for row in rows)
+    return Picture(
+        name='causes', title='Where runs fail', draw=draw,
+        caption=f'How often runs fail in each cause: of {which}. For the campaign in which the '
+        'causes were found, the 95 % intervals account for their selection.',
+        size_in=(7.6, 1.1 + 0.17 * lines + 0.22 * len(rows)),
+    )
+
+
+def _forest(
+    axes: Axes, rates: list[GroupRate | FoundRate], colour: str, shift: float, label: str
+) -> None:
+    shown = [(place, rate) for place, rate in enumerate(rates) if rate.runs]
+    if not shown:
+        return
+    share = np.array([rate.rate for _, rate in shown])
+    ends = np.array([(rate.rate - rate.low, rate.high - rate.rate) for _, rate in shown]).T
+    places = np.array([place for place, _ in shown]) + shift
+    axes.errorbar(share, places, xerr=np.clip(np.nan_to_num(ends), 0, None), fmt='o', color=colour,
+                  markersize=5.5, capsize=3, elinewidth=1.4, label=label, zorder=3)
+
+
+def _wrapped(region: Region) -> str:
+    """Display text of a region, broken into two lines if long."""
+    first, *others = [part.words() for part in region.parts]
+    whole = ', '.join([first, *others])
+    return whole if len(whole) <= _LONGEST else f'{first},\n{", ".join(others)}'.rstrip(',\n')

@@ -91,30 +91,6 @@ class BaselineComparison:
             return self.changed.p < _SIGNIFICANT
         return self.difference.clear
 
-    def sentence(self, label: str, rate: GroupRate) -> str:
-        """Text of the comparison.
-
-        Args:
-            label: label of the campaign.
-            rate: its failure rate.
-        """
-        gap = self.difference
-        text = (f'{label} fails in {rate.words()}, {self.baseline.label} in {self.rate.words()}')
-        if np.isfinite(gap.low):
-            value, low, high = (f'{100 * part:+.1f}'.replace('-', '−') for part in gap)
-            text += f': {value} points ({low} to {high})'
-            text += ' in the same scenes' if self.paired else ''
-            text += '' if self.clear else ', which may be chance'
-        if self.changed is not None:
-            same = self.changed
-            text += (f'. Of {same.scenes:,} scenes that both were run in, {same.worse:,} fail with '
-                     f'{label} only and {same.better:,} with {self.baseline.label} only')
-            p = 'p < 0.001' if same.p < 0.001 else f'p = {same.p:.3f}'
-            text += '' if np.isnan(same.p) else f' ({p})'
-        if self.differing:
-            text += f'. Not known to be the same: {", ".join(self.differing)}'
-        return text + '.'
-
 
 def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> BaselineComparison:
     """Compare a campaign with a baseline, overall and in each cause."""

@@ -19,7 +19,7 @@ from taxinet_ros.analysis.causes.program import (
 )
 from taxinet_ros.analysis.causes.region import Region
 from taxinet_ros.analysis.report.parts import Report, Table
-from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+from taxinet_ros.analysis.report.pictures import write_pictures
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
 from taxinet_ros.core.provenance import provenance
@@ -165,9 +165,7 @@ def write_analysis(
     for section in report.sections:
         for table in section.tables:
             write_atomically(out / f'{table.name}.csv', csv_text(table))
-        for picture in section.pictures:
-            on_progress(f'picture {picture.name}')
-            write_png(picture, out, LIGHT)
+    write_pictures(report, out, on_progress)
     write_report_page(report, out / PAGE_NAME, on_progress=on_progress)
     files = sorted({*_files(out) - others, JSON_NAME})
     values = {**findings_values(findings, report), 'files': files}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,11 @@ from taxinet_ros.analysis.report.parts import (
     Column,
     Picture,
     Report,
-    Section,
     Table,
     Theme,
     style_axes,
 )
+from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import SIGNALS, parse_spec
@@ -36,6 +35,7 @@ from taxinet_ros.trials.experiment import Experiment
 from taxinet_ros.trials.rates import count_outcomes
 from taxinet_ros.trials.record.row import RunRow
 
+TEXT = Path(__file__).with_name('page.j2')
 _HOURS = TIME_OF_DAY.key
 _LOWEST_SHOWN = -6.0
 """Lower limit of rho in the picture; runs below it are shown at the lower edge."""
@@ -212,31 +212,30 @@ _MOST_FLIPS = 30
 def experiment_report(found: PairedArms) -> Report:
     """Report on an experiment."""
     experiment = found.experiment
-    return Report(
-        title=f'Experiment {experiment.name}: {" / ".join(arm.name for arm in experiment.arms)}',
-        facts=_facts(experiment), summary=tuple(experiment_sentences(found, details=False)),
-        sections=(_section(found), *(_pair_section(found, one) for one in found.comparisons)),
-    )
-
-
-def experiment_sentences(found: PairedArms, *, details: bool = True) -> Iterator[str]:
-    """The findings, one arm after the other; without ``details`` only the main ones."""
-    for comparison in found.comparisons:
-        yield from _headlines(found, comparison)
-        if details:
-            yield from _comparison_sentences(found, comparison)
-    for name, rows in found.rows.items():
-        unjudged = [row for row in rows if not row.outcome.judged]
-        if unjudged:
-            how = count_outcomes(unjudged)
-            yield f'Runs of {name} without verdict, whose scenes are excluded: {how}.'
+    name = experiment.specs[0].partition('=')[0]
+    unjudged = {
+        arm: [row for row in rows if not row.outcome.judged] for arm, rows in found.rows.items()
+    }
+    values = {
+        'f': found, 'e': experiment, 'unit': _unit(experiment), 'steering': STEERING,
+        'what': name if len(experiment.specs) == 1 else f'all {len(experiment.specs)} formulas',
+        'greatest': {one.arm: _greatest_change(found, one) for one in found.comparisons},
+        'unjudged': {arm: count_outcomes(rows) for arm, rows in unjudged.items() if rows},
+    }
+    pairs: dict[str, Sequence[Picture | Table]] = {
+        f'pairs-{one.arm}': (change_picture(found, one), *_flips_tables(found, one))
+        for one in found.comparisons
+    }
+    return fill_report(TEXT, values, {
+        'arms': (arms_picture(found), _arms_table(found)), **pairs,
+    })
 
 
 def experiment_json(found: PairedArms) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
-    experiment = found.experiment
+    experiment, report = found.experiment, experiment_report(found)
     return plain_values({
-        'experiment': experiment.name, 'facts': _facts(experiment),
+        'experiment': experiment.name, 'facts': dict(report.facts),
         'compare_to': experiment.compare_to, 'over': found.over,
         'made_on': dict(provenance()),
         'arms': {
@@ -246,120 +245,24 @@ def experiment_json(found: PairedArms) -> dict[str, Any]:
             for name, rows in found.rows.items()
         },
         'comparisons': [_comparison_json(one) for one in found.comparisons],
-        'sentences': list(experiment_sentences(found)),
+        'sentences': list(report.sentences),
     })
 
-# Sentences ---------------------------------------------------------------------------------------
 
-
-def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
-    """Main findings: satisfaction, rho, and where it changes."""
-    if not one.pairs:
-        yield f'{one.arm}: no scene was judged in both arms, so no conclusion is possible.'
-        return
-    what = _formula(found.experiment)
-    rates = one.satisfied
-    yield (
-        f'{_verdict(one)} Of {rates.pairs} scenes {rates.first} satisfy {what} in {one.base} '
-        f'({100 * rates.first / rates.pairs:.0f} %) and {rates.second} in {one.arm} '
-        f'({100 * rates.second / rates.pairs:.0f} %): {_points(rates.difference)}.'
-    )
-    yield _shift_words(
-        one, 'rho', one.rho, _unit(found.experiment), 2, _adjusted(found, one.rho_p)
-    )
-    yield from _where_words(found, one)
-
-
-def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str]:
-    """Further findings."""
-    if not one.pairs:
-        return
-    rates = one.satisfied
-    yield (
-        f'{rates.only_second} are satisfied in {one.arm} only, {rates.only_first} in {one.base} '
-        f"only (McNemar's exact test: p = {_p(rates.p_value)}{_adjusted(found, one.satisfied_p)})."
-    )
-    yield _shift_words(one, 'the greatest deviation', one.max_cross_track_m, ' m', 2)
-    if one.settle_time_s.pairs:
-        yield (
-            _shift_words(one, 'the time to settle', one.settle_time_s, ' s', 1)
-            + f' Of {one.settled.pairs}, {one.settled.first} settle at all in {one.base}, '
-            f'{one.settled.second} in {one.arm}.'
-        )
-    off = one.off_runway
-    if off.first or off.second:
-        yield (
-            f'{off.first} leave the runway in {one.base}, {off.second} in {one.arm} '
-            f'(p = {_p(off.p_value)}).'
-        )
-    if off.pairs < len(one.pairs):
-        yield (
-            f'In {len(one.pairs) - off.pairs} pairs a run was stopped before it was known whether '
-            'it leaves the runway.'
-        )
-
-
-def _adjusted(found: PairedArms, p_value: float) -> str:
-    """Display text of the adjusted p value that the verdict uses, if there are several arms."""
-    arms = len(found.comparisons)
-    return f', {_p(p_value)} after Holm over {arms} arms' if arms > 1 else ''
-
-
-def _verdict(one: ArmComparison) -> str:
-    if one.clear:
-        more = 'more' if one.satisfied.second > one.satisfied.first else 'fewer'
-        return f'Clearly {more} runs are satisfied in {one.arm} than in {one.base}.'
-    if one.rho_clear:
-        way = 'greater' if one.rho.change.value > 0 else 'less'
-        return (
-            f'Rho is {way} in {one.arm} than in {one.base}, but how many runs are satisfied does '
-            'not clearly differ.'
-        )
-    return f'No difference between {one.base} and {one.arm} is proven.'
-
-
-def _shift_words(
-    one: ArmComparison, name: str, shift: PairedShift, unit: str, digits: int, adjusted: str = ''
-) -> str:
-    if not shift.pairs:
-        return f'No pair has {name} in both arms.'
-    if not shift.more + shift.less:
-        return f'In none of {shift.pairs} pairs {name} differs.'
-    value, low, high = shift.change
-    span = '' if math.isnan(low) else _minus(
-        f' (95 % interval {low:+.{digits}f} to {high:+.{digits}f})'
-    )
-    middle = _minus(f'{value:+.{digits}f}')
-    changed = shift.more + shift.less
-    of = '' if changed == shift.pairs else f' of these {changed}, the interval is of all'
-    return (
-        f'From {one.base} to {one.arm} {name} typically changes by {middle}{unit}'
-        f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
-        f'(Wilcoxon signed-rank test{of}: p = {_p(shift.p_value)}{adjusted}).'
-    )
-
-
-def _where_words(found: PairedArms, one: ArmComparison) -> Iterator[str]:
-    """Where on the horizontal axis the change is greatest."""
+def _greatest_change(
+    found: PairedArms, one: ArmComparison
+) -> tuple[str, float, int] | None:
+    """Where on the horizontal axis rho changes most, its median change there, and of how many."""
     x, change = changes(found, one)
     if len(x) < 2 * LEAST_IN_BIN or x.min() == x.max():
-        return
+        return None
     parts = [part for part in bins(x) if part[2].sum() >= LEAST_IN_BIN]
     medians = [float(np.median(change[part[2]])) for part in parts]
     if not medians:
-        return
+        return None
     greatest = int(np.argmax(np.abs(medians)))
     low, high, inside = parts[greatest]
-    unit = _unit(found.experiment)
-    yield (
-        f'The change of rho is greatest at {range_words(found.over, low, high)}: '
-        f'{_minus(f"{medians[greatest]:+.2f}")}{unit} in the median of {int(inside.sum())} pairs.'
-    )
-
-
-def _formula(experiment: Experiment) -> str:
-    name = experiment.specs[0].partition('=')[0]
-    return name if len(experiment.specs) == 1 else f'all {len(experiment.specs)} formulas'
+    return range_words(found.over, low, high), medians[greatest], int(inside.sum())
 
 
 def _unit(experiment: Experiment) -> str:
@@ -373,65 +276,11 @@ def _axis_unit(experiment: Experiment) -> str:
     return f' [{unit.strip()}]' if unit else ''
 
 
-def _points(difference: ConfidenceInterval) -> str:
-    value, low, high = (100 * part for part in difference)
-    return _minus(f'{value:+.1f} points (95 % interval {low:+.1f} to {high:+.1f})')
-
-
-def _p(value: float) -> str:
-    return f'{value:.3f}' if value >= 0.001 else f'{value:.0e}'
-
-
-def _facts(experiment: Experiment) -> dict[str, str]:
-    arms = {
-        f'arm {arm.name}': ', '.join([
-            *(f'{key}={value}' for key, value in arm.laid_over.items()),
-            *(f'steering.{key}={value:g}' for key, value in arm.gains.items()),
-            f'perception {_file_name(arm.perception)}',
-            *([f'controller {_file_name(arm.controller)}'] if arm.controller != STEERING else []),
-        ])
-        for arm in experiment.arms
-    }
-    fixed = ', '.join(f'{key}={value}' for key, value in experiment.overrides.items())
-    return {
-        'program': _file_name(experiment.program),
-        'scenes': f'{experiment.runs}, the same in every arm',
-        'seed': str(experiment.seed), 'sampler': experiment.sampler,
-        'formulas': ', '.join(experiment.specs), **({'fixed': fixed} if fixed else {}), **arms,
-    }
-
-
-def _file_name(word: str) -> str:
-    """A word, or the name of its file: where that lies on this machine says nothing elsewhere."""
-    path = Path(word)
-    return path.name if path.is_absolute() else word
-
-
-# Sections ----------------------------------------------------------------------------------------
-
-
-def _section(found: PairedArms) -> Section:
-    return Section(
-        name='arms', heading='The arms',
-        sentences=(
-            'Every scene was run once in each arm; only the settings of the arm differ. So runs '
-            'are compared in pairs, which removes the influence of the scene itself.',
-        ),
-        pictures=(arms_picture(found),), tables=(_arms_table(found),),
-    )
-
-
-def _pair_section(found: PairedArms, one: ArmComparison) -> Section:
-    return Section(
-        name=f'pairs-{one.arm}', heading=f'{one.arm} against {one.base}',
-        sentences=tuple(_comparison_sentences(found, one)),
-        pictures=(change_picture(found, one),), tables=_flips_tables(found, one),
-    )
-
-
 def _arms_table(found: PairedArms) -> Table:
     return Table(
-        name='arms', title='Outcomes of the scenes', caption='Over all judged runs of an arm.',
+        name='arms', title='Outcomes of the scenes',
+        caption='Over all judged runs of an arm. Every scene was run once in each; only the '
+        'settings of the arm differ, so runs are compared in pairs.',
         columns=(
             Column(name='arm', title='arm'), Column(name='judged', title='judged'),
             Column(name='satisfied', title='satisfied'),

@@ -1,1 +1,1 @@
-"""Explanation of a failed run: track, counterfactuals, occlusion, nearest training images."""
+"""Explanation of a failed run: track, counterfactuals, occlusion."""

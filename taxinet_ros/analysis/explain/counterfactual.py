@@ -113,6 +113,11 @@ class Effect:
     removed: float
     changed: bool
 
+    @property
+    def most_changed(self) -> float:
+        """Largest share of the pixels of a picture that it changes."""
+        return max(outcome.changed for outcome in self.outcomes)
+
 
 def factors(
     scenario: Scenario, shows: Collection[str] = EVERYTHING

@@ -1,12 +1,9 @@
-"""Explain why a network failed in a run: where its estimates are wrong, and the causes.
-
-Contains the explanation and its sentences, the most important first.
-"""
+"""Explain why a network failed in a run: where its estimates are wrong, and the causes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +11,6 @@ import numpy as np
 
 from taxinet_ros.analysis.explain.counterfactual import (
     CROSSING,
-    LEAST_SHARE,
     OTHERS,
     SHADOW,
     Effect,
@@ -26,7 +22,6 @@ from taxinet_ros.analysis.explain.counterfactual import (
     run_factors,
     taken_again,
 )
-from taxinet_ros.analysis.explain.nearest_images import NearestImages, Nearness
 from taxinet_ros.analysis.explain.occlusion import OcclusionMap, changed_pixels, occlusion_map
 from taxinet_ros.analysis.explain.track import (
     Estimator,
@@ -46,7 +41,6 @@ from taxinet_ros.core.renderer import OURS, ChosenRenderer
 from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
-from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import KMWH
@@ -64,13 +58,11 @@ class Insight:
         occlusion: dependence of the estimate on parts of its frame.
         parts: shares of the frame and of the effect on the estimate (0..1 each) of the aircraft's
             shadow and the crossing, by the factor's name, as far as they are visible.
-        nearness: comparison with the training images; None if none were given.
     """
 
     moment: Moment
     occlusion: OcclusionMap
     parts: dict[str, tuple[float, float]]
-    nearness: Nearness | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +78,6 @@ class Explanation:
         insights: the examined moments in order of time, at least one.
         effects: effects of changing the scene at these moments, in the factors' order; empty if the
             run cannot be rerun.
-        training: the training images, or None.
         reruns: the whole run as recorded, and without what failed in it or pushed the aircraft;
             empty if nothing did.
         not_rerun: why there are none, though something did; '' otherwise.
@@ -104,7 +95,6 @@ class Explanation:
     track: Track
     insights: tuple[Insight, ...]
     effects: tuple[Effect, ...]
-    training: NearestImages | None
     reruns: tuple[Rerun, ...] = ()
     not_rerun: str = ''
     not_modified: str = ''
@@ -131,7 +121,7 @@ class Explanation:
 
 def explain(
     recording: Recording, perception: Perception, *, frames: int,
-    training: NearestImages | None = None, on_progress: Progress = lambda stage, done, total: None,
+    on_progress: Progress = lambda stage, done, total: None,
     renderer: ChosenRenderer | None = None,
 ) -> Explanation:
     """Explain a run.
@@ -140,7 +130,6 @@ def explain(
         recording: recording of the run.
         perception: a network.
         frames: maximum number of moments to examine, at least 1.
-        training: images to compare the frames with.
         on_progress: called with the progress.
         renderer: the run's camera, where that is not ours, asked for pictures of modified scenes;
             None: they are not modified.
@@ -182,11 +171,11 @@ def explain(
     )
     insights = []
     for number, moment in enumerate(chosen):
-        insights.append(_insight(number, moment, look, track, found, run, training))
+        insights.append(_insight(number, moment, look, track, found))
         on_progress('maps', number + 1, len(chosen))
     return Explanation(
         bag=bag, run=run, perception=perception.word, fingerprint=perception.fingerprint,
-        track=track, insights=tuple(insights), effects=found, training=training,
+        track=track, insights=tuple(insights), effects=found,
         reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
         hidden=() if renderer is None else not_shown(renderer.shows),
         outcome='' if recording.facts is None else recording.facts.outcome,
@@ -216,10 +205,6 @@ def _other_pictures(
     )
 
 
-def _most_changed(effect: Effect) -> float:
-    return max(outcome.changed for outcome in effect.outcomes)
-
-
 def _driven_again(
     run: RecordedRun, perception: Perception, theirs: str,
     on_progress: Callable[[int, int], None],
@@ -235,8 +220,7 @@ def _driven_again(
 
 
 def _insight(
-    number: int, moment: Moment, look: Estimator, track: Track, found: tuple[Effect, ...],
-    run: RecordedRun, training: NearestImages | None,
+    number: int, moment: Moment, look: Estimator, track: Track, found: tuple[Effect, ...]
 ) -> Insight:
     occlusion = occlusion_map(look, moment.image, track.gains)
     parts = {}
@@ -244,72 +228,12 @@ def _insight(
         if effect.factor.name in PARTS and effect.outcomes[number].changed > 0:
             mask = changed_pixels(moment.image, effect.outcomes[number].image)
             parts[effect.factor.name] = (float(mask.mean()), occlusion.share(mask))
-    nearness = None if training is None else training.near(moment.image, _scene(moment, run))
-    return Insight(moment=moment, occlusion=occlusion, parts=parts, nearness=nearness)
+    return Insight(moment=moment, occlusion=occlusion, parts=parts)
 
 
-def _scene(moment: Moment, run: RecordedRun) -> dict[str, float | str]:
-    """Scene values by the names used in training sets."""
-    human = run.request.scenario.to_human()
-    return {
-        'cte_m': moment.truth.cte_m,
-        'heading_error_deg': float(np.degrees(moment.truth.he_rad)),
-        **{name: human[name] for name in ('time_of_day_h', 'rain_percent', 'clouds')},
-    }
-
-
-_HARDLY_RAD = math.radians(2.0)
-"""Equivalent of half a metre of cross-track error in the steering law."""
-_NOT_IN_VIEW = 0.002
 PARTS = {
     SHADOW: "the aircraft's own shadow", CROSSING: 'the crossing', OTHERS: 'the group of others',
 }
-
-
-def explain_sentences(found: Explanation) -> Iterator[str]:
-    """The findings."""
-    worst = found.insights[found.worst]
-    yield from _cause(found)
-    yield from camera_sentences(found)
-    yield from rerun_sentences(found)
-    yield f'Largest error at {moment_words(worst.moment)}.'
-    yield from attention_sentences(worst)
-    yield from _nearness(found)
-    yield recomputed_sentence(found)
-    if found.run.controller:
-        yield (
-            f'This run used the controller {found.run.controller}, but the effect of an estimate '
-            'is computed with the shipped steering law.'
-        )
-
-
-def camera_sentences(found: Explanation) -> Iterator[str]:
-    """What a camera other than ours was asked for, and what it could not be."""
-    if found.again is None:
-        return
-    _, camera = world_and_camera(found.run.world)
-    if found.effects:
-        yield (
-            f'Taken again unchanged by the camera {camera}, at most '
-            f'{100 * _most_changed(found.again):.1f} % of the pixels of a picture differ: '
-            f'{effect_words(found.again)}.'
-        )
-    if found.hidden:
-        yield f'Not changed, as the camera {camera} does not show it: {", ".join(found.hidden)}.'
-
-
-def rerun_sentences(found: Explanation) -> Iterator[str]:
-    """What the run would have been without what failed in it, or pushed the aircraft."""
-    headline = found.run.request.judging.headline
-    for rerun in found.reruns:
-        known = rerun.robustness
-        result = 'could not be judged'
-        if known is not None:
-            verb = 'satisfies' if known.satisfied else 'violates'
-            result = f'{verb} {headline} ({known.words(".2f")})'
-        yield f'Driven again {rerun.words}, the run {result}.'
-    if found.not_rerun:
-        yield f'The run cannot be driven again otherwise: {found.not_rerun}.'
 
 
 def moment_words(moment: Moment) -> str:
@@ -342,49 +266,6 @@ def misled_words(misled_rad: float) -> str:
     return f'the estimate asks for a heading {abs(degrees):.0f}° too far {side}'
 
 
-def attention_sentences(insight: Insight) -> Iterator[str]:
-    """Sentences on which part of a frame the estimate depends on."""
-    region, share = insight.occlusion.region
-    time = f'At {insight.moment.t_s:.1f} s'
-    if share == 0:
-        yield f'{time} covering any patch of the image leaves the estimate unchanged.'
-    else:
-        yield (
-            f'{time} the estimate depends most on the {region} of the picture: '
-            f'{100 * share:.0f} % of the change by covering patches is there (11 % if all ninths '
-            'were equal).'
-        )
-        for what, there in zip(
-            ('cross-track', 'heading'), insight.occlusion.regions_alone, strict=True
-        ):
-            if there != region:
-                yield f'The estimated {what} error alone depends most on the {there}.'
-    for name, (area, weight) in insight.parts.items():
-        if area >= _NOT_IN_VIEW:
-            yield (
-                f'{_capital(PARTS[name])} covers {100 * area:.0f} % of that picture, and has '
-                f'{100 * weight:.0f} % of the effect on the estimate.'
-            )
-    if insight.occlusion.lost:
-        yield f'With {insight.occlusion.lost} of the patches covered there was no estimate.'
-
-
-def recomputed_sentence(found: Explanation) -> str:
-    """Sentence on whether the recomputed estimates equal those of the run."""
-    cte_m, he_rad = found.track.greatest_change
-    if not found.own:
-        who = found.run.perception or 'an unnamed perception'
-        return f'The run was driven by {who}, not by this network.'
-    if cte_m == he_rad == 0:
-        return 'All estimates are equal to the recorded ones, bit for bit.'
-    if math.isinf(cte_m):
-        return 'Some estimates exist only in the recording, or only when recomputed.'
-    return (
-        f'The estimates differ from those recorded by up to {cte_m:.2g} m and '
-        f'{math.degrees(he_rad):.2g}°.'
-    )
-
-
 def effect_words(effect: Effect) -> str:
     """Display text of a factor's effect on the error."""
     percent = round(100 * effect.removed)
@@ -393,85 +274,6 @@ def effect_words(effect: Effect) -> str:
     if percent == 0:
         return 'the error stays'
     return f'{abs(percent)} % {"less" if percent > 0 else "more"} error'
-
-
-def _cause(found: Explanation) -> Iterator[str]:
-    track, worst = found.track, found.insights[found.worst].moment
-    if not worst.estimate.usable:
-        yield 'The network gave no estimate for any of the examined frames.'
-        return
-    if abs(worst.misled_rad) < _HARDLY_RAD:
-        yield (
-            'While the aircraft was on the runway, the network misled the steering law by '
-            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most{outcome_words(found.outcome)}.'
-        )
-        return
-    if not found.effects:
-        why = found.not_modified or track.differs or 'a state is missing'
-        yield f'The cause within the scene cannot be determined: {why}.'
-        return
-    blamed = found.blamed
-    if blamed is None:
-        yield (
-            f'No change of the scene removes {100 * LEAST_SHARE:.0f} % of the error: neither '
-            f'{_list([effect.factor.cause for effect in found.effects])}. The remaining candidates '
-            'are the pose, the place, the camera and the network itself.'
-        )
-        return
-    yield (
-        f'{_capital(blamed.factor.cause)} contributes most to the error: in the same scene, '
-        f'{blamed.factor.words}, {100 * blamed.removed:.0f} % of the error in the '
-        f'{len(found.insights)} frames disappears.'
-    )
-    outcome = blamed.outcomes[found.worst]
-    yield (
-        f'At {worst.t_s:.1f} s the aircraft is {error_words(worst.truth)}. The network estimates '
-        f'{error_words(worst.estimate)}; {blamed.factor.words}, {error_words(outcome.estimate)}.'
-    )
-    yield from _others(found, blamed)
-
-
-def outcome_words(outcome: str) -> str:
-    """Display text of what small errors of the network mean for a run with this outcome."""
-    if outcome == Outcome.PASS:
-        return ', and the run passed'
-    failed = 'the run failed, but' if outcome == Outcome.FAIL else 'if the run failed,'
-    return f': {failed} the network is probably not the reason'
-
-
-def _others(found: Explanation, blamed: Effect) -> Iterator[str]:
-    others = [
-        f'{effect.factor.words}: {effect_words(effect)}' for effect in found.effects
-        if effect is not blamed
-    ]
-    if others:
-        yield f'Other changes: {"; ".join(others)}.'
-
-
-def _nearness(found: Explanation) -> Iterator[str]:
-    if found.training is None:
-        return
-    near = [insight.nearness for insight in found.insights if insight.nearness is not None]
-    foreign = [one for one in near if one.foreign]
-    worst = near[found.worst]
-    name = found.training.images.name
-    far = (
-        f'At the worst frame the nearest training image is {worst.by_picture[0].distance:.1f} grey '
-        f'levels away, farther than {100 * worst.farther_than:.1f} % of the images of data set '
-        f'{name} are from their nearest other one (usual: {worst.usual:.1f})'
-    )
-    if foreign:
-        yield f'{far}; {len(foreign)} of {len(near)} frames are out of distribution.'
-    else:
-        yield f'{far}; no frame is out of distribution.'
-
-
-def _list(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} nor {words[-1]}'
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _side(value: float, unit: str, decimals: int) -> str:

@@ -54,11 +54,6 @@ class OcclusionMap:
         """
         return _ninth(self.weight_rad)
 
-    @property
-    def regions_alone(self) -> tuple[str, str]:
-        """The same names for the estimated cross-track error and heading error alone."""
-        return _ninth(np.abs(self.cte_m))[0], _ninth(np.abs(self.he_rad))[0]
-
     def share(self, mask: NDArray[np.bool_]) -> float:
         """Share of the effect within ``mask`` (H, W) of the picture."""
         weight = _in_pixels(self.weight_rad, mask.shape)

@@ -23,12 +23,10 @@ from taxinet_ros.analysis.explain.explain import (
     misled_words,
     moment_words,
 )
-from taxinet_ros.analysis.explain.nearest_images import Neighbour, TrainingImages
 from taxinet_ros.analysis.explain.occlusion import STRIDE_PX
 from taxinet_ros.analysis.explain.track import Floats, Frame, Moment
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
-from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.core.types import TrackingError
 
 _TRUE, _BELIEVED = '#35d0ff', '#ff9d00'
@@ -79,18 +77,6 @@ def occlusion_picture(insight: Insight) -> Picture:
         caption='Change of the estimate when the image is covered there: red, to the left; blue, '
         'to the right. Uncoloured regions have no effect.',
         draw=partial(_draw_occlusion, insight), size_in=(9.0, 2.35),
-    )
-
-
-def nearest_picture(insight: Insight, images: TrainingImages) -> Picture:
-    """A frame beside its nearest training images, as network inputs."""
-    moment = insight.moment
-    return Picture(
-        name=f'explain-nearest-{moment.seq:04d}',
-        title=f'Nearest training images, at {moment.t_s:.1f} s',
-        caption='Left: the frame; right: its nearest images, above by image, below by labels and '
-        "weather. All are reduced to the networks' input.",
-        draw=partial(_draw_nearest, insight, images), size_in=(9.0, 2.7),
     )
 
 
@@ -222,48 +208,6 @@ def _draw_occlusion(insight: Insight, figure: Figure, theme: Theme) -> None:
         bar = figure.colorbar(
             colours, cax=scale, orientation='horizontal', ticks=MaxNLocator(6, symmetric=True))
         bar.ax.tick_params(labelsize=7)
-
-
-def _draw_nearest(insight: Insight, images: TrainingImages, figure: Figure, theme: Theme) -> None:
-    from taxinet_ros.core.perception.network import shrink
-
-    near, moment = insight.nearness, insight.moment
-    if near is None:
-        raise ValueError('no nearest images')
-    parts = figure.subplot_mosaic([['frame', 'p0', 'p1', 'p2'], ['frame', 's0', 's1', 's2']],
-                                  empty_sentinel='')
-    parts['frame'].imshow(shrink(moment.image), cmap='gray', vmin=0, vmax=255)
-    parts['frame'].set_title(f'the frame\n{_label(moment.truth)}', fontsize=8, loc='left')
-    parts['frame'].set_xlabel(
-        f'nearest at {near.by_picture[0].distance:.1f} grey levels,\nfarther than '
-        f'{100 * near.farther_than:.1f} % of them\nare from each other', fontsize=8)
-    for letter, neighbours, unit in (('p', near.by_picture, 'grey levels'),
-                                     ('s', near.by_scene, 'spreads')):
-        for place in range(3):
-            axes = parts[f'{letter}{place}']
-            if place < len(neighbours):
-                _neighbour(axes, neighbours[place], images, unit)
-            else:
-                axes.set_visible(False)
-    for axes in parts.values():
-        axes.set_xticks([])
-        axes.set_yticks([])
-
-
-def _neighbour(axes: Axes, near: Neighbour, images: TrainingImages, unit: str) -> None:
-    axes.imshow(images.pictures[near.row], cmap='gray', vmin=0, vmax=255)
-    row = images.scenes.iloc[near.row]
-    axes.set_title(f'{near.distance:.2g} {unit} away', fontsize=8, loc='left')
-    label = f'{row["cte_m"]:.1f} m, {row["heading_error_deg"]:.0f}°'.replace('-', '−')
-    if 'time_of_day_h' in row and 'clouds' in row:
-        label += f'; {clock_words(float(row["time_of_day_h"]))}, {row["clouds"]}'
-        if float(row.get('rain_percent', 0)) > 0:
-            label += f', rain {float(row["rain_percent"]):.0f} %'
-    axes.set_xlabel(label, fontsize=7)
-
-
-def _label(error: TrackingError) -> str:
-    return f'{error.cte_m:.1f} m, {math.degrees(error.he_rad):.0f}°'.replace('-', '−')
 
 
 _EXTENT = (-0.5, IMAGE_WIDTH - 0.5, IMAGE_HEIGHT - 0.5, -0.5)

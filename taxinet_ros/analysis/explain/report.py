@@ -3,33 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+from taxinet_ros.analysis.explain.counterfactual import LEAST_SHARE
 from taxinet_ros.analysis.explain.explain import (
+    PARTS,
     Explanation,
-    Insight,
-    attention_sentences,
-    camera_sentences,
-    explain_sentences,
+    effect_words,
+    error_words,
     moment_words,
-    recomputed_sentence,
-    rerun_sentences,
 )
 from taxinet_ros.analysis.explain.pictures import (
     error_picture,
     factor_picture,
-    nearest_picture,
     occlusion_picture,
     scene_picture,
 )
 from taxinet_ros.analysis.explain.track import Moment
-from taxinet_ros.analysis.report.parts import Cell, Column, Report, Section, Table
+from taxinet_ros.analysis.report.parts import Cell, Column, Picture, Report, Table
+from taxinet_ros.analysis.report.text import environment, fill_report
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.world import world_and_camera
+from taxinet_ros.registry import KMWH
 
+TEXT = Path(__file__).with_name('page.j2')
+environment(TEXT.parent).filters.update(
+    error=error_words, effect=effect_words, moment=moment_words, along=along_words,
+    clock=clock_words, degrees=math.degrees,
+)
+_HARDLY_RAD = math.radians(2.0)
+"""Equivalent of half a metre of cross-track error in the steering law."""
 _ESTIMATE = (
     Column(name='estimated_cte_m', title='sees CTE [m]', decimals=2),
     Column(name='estimated_he_deg', title='sees HE [°]', decimals=1),
@@ -42,12 +50,27 @@ _ESTIMATE = (
 def explain_report(found: Explanation) -> Report:
     """Report on an explanation."""
     run_id = found.run.request.run_id
-    return Report(
-        title=f'Network errors in {run_id}',
-        facts=_facts(found), summary=tuple(explain_sentences(found)),
-        sections=tuple(_sections(found)), runs={run_id: found.bag}, worst=run_id,
-        worst_words='The run',
+    worst = found.insights[found.worst]
+    return fill_report(
+        TEXT, {
+            'f': found, 'worst': worst, 'hardly_rad': _HARDLY_RAD, 'least': LEAST_SHARE,
+            'misled_deg': math.degrees(abs(worst.moment.misled_rad)), 'outcome': found.outcome,
+            'scene': found.run.request.scenario.to_human(), 'parts': PARTS,
+            'camera': world_and_camera(found.run.world or KMWH)[1],
+        },
+        _figures(found), runs={run_id: found.bag}, worst=run_id, worst_words='The run',
     )
+
+
+def _figures(found: Explanation) -> dict[str, Sequence[Picture | Table]]:
+    figures: dict[str, Sequence[Picture | Table]] = {
+        'errors': (error_picture(found), _moment_table(found)),
+        'attention': tuple(map(occlusion_picture, found.insights)),
+    }
+    if found.effects:
+        scenes = (scene_picture(found, number) for number in range(len(found.insights)))
+        figures['scenes'] = (factor_picture(found), *scenes, _factor_table(found))
+    return figures
 
 
 def explain_json(found: Explanation) -> dict[str, Any]:
@@ -79,97 +102,8 @@ def explain_json(found: Explanation) -> dict[str, Any]:
             for rerun in found.reruns
         ],
         'moments': [_moment_json(found, number) for number in range(len(found.insights))],
-        'sentences': list(explain_sentences(found)),
+        'sentences': list(explain_report(found).summary),
     })
-
-
-def _sections(found: Explanation) -> Iterator[Section]:
-    insights = found.insights
-    yield Section(
-        name='errors', heading='Along the run',
-        sentences=(
-            recomputed_sentence(found),
-            'We examine the start and the moments on the runway where the estimate misleads the '
-            'steering law most. Misled by 10° means: the commanded heading is 10° off the one '
-            'commanded with the truth; 4° correspond to a metre of cross-track error with the '
-            'default gains.',
-            *(f'{moment_words(insight.moment)}.' for insight in insights),
-        ),
-        pictures=(error_picture(found),), tables=(_moment_table(found),),
-    )
-    if found.effects:
-        yield Section(
-            name='scenes', heading='The same moments in other scenes',
-            sentences=(
-                'Each change is made alone, so it causes the difference. This holds for the '
-                'images; whether the whole run would have passed can only be tested by another '
-                'run.',
-                *camera_sentences(found),
-            ),
-            pictures=(
-                factor_picture(found),
-                *(scene_picture(found, number) for number in range(len(insights))),
-            ),
-            tables=(_factor_table(found),),
-        )
-    elif why := found.not_modified or found.track.differs:
-        yield Section(
-            name='scenes', heading='The same moments in other scenes',
-            sentences=(f'Not available: {why}.',),
-        )
-    if found.reruns or found.not_rerun:
-        yield Section(
-            name='reruns', heading='The same run otherwise',
-            sentences=(
-                'The whole run, driven again by this network as recorded, and without what '
-                'failed in it or pushed the aircraft.',
-                *rerun_sentences(found),
-            ),
-        )
-    yield Section(
-        name='attention', heading='What the estimate depends on',
-        sentences=tuple(
-            sentence for insight in insights for sentence in attention_sentences(insight)),
-        pictures=tuple(occlusion_picture(insight) for insight in insights),
-    )
-    if found.training is not None:
-        yield _training_section(found)
-
-
-def _training_section(found: Explanation) -> Section:
-    images = found.training.images if found.training else None
-    if images is None:
-        raise ValueError('no training images')
-    held = f'{len(images.pictures):,} of its {images.total:,} images'
-    return Section(
-        name='training', heading='The nearest training images',
-        sentences=(
-            f'Compared with {images.name}, {held}. The distance between pictures is the root '
-            'mean square of their differences of grey levels (0..255), in the reduced picture '
-            'that the networks here see. A frame is called out of distribution if it is farther '
-            'from every image than 99 % of the images are from their nearest other one.',
-        ),
-        pictures=tuple(
-            nearest_picture(insight, images) for insight in found.insights
-            if insight.nearness is not None
-        ),
-        tables=(_nearest_table(found),),
-    )
-
-
-def _facts(found: Explanation) -> dict[str, str]:
-    scene = found.run.request.scenario.to_human()
-    network = f'{found.perception} ({found.fingerprint[:8]})'
-    recorded = found.run.perception or 'not told'
-    return {
-        'network': network if found.own else f'{network}; the run was driven by {recorded}',
-        'scene': (
-            f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}, '
-            f'rain {scene["rain_percent"]:.0f} %, '
-            f'start {scene["distance_m"]:,.0f} m {along_words(scene["track"])}'
-        ),
-        'frames': f'{len(found.track.seq)}, of which {len(found.insights)} were examined',
-    }
 
 
 def _moment_table(found: Explanation) -> Table:
@@ -214,24 +148,6 @@ def _factor_table(found: Explanation) -> Table:
     )
 
 
-def _nearest_table(found: Explanation) -> Table:
-    return Table(
-        name='explain-nearest', title='How far from the training images', caption='',
-        columns=(
-            Column(name='t_s', title='time [s]', decimals=1),
-            Column(name='distance', title='to the nearest [grey levels]', decimals=1),
-            Column(name='usual', title='usual there [grey levels]', decimals=1),
-            Column(name='farther_than_percent', title='farther than [% of images]', decimals=1),
-            Column(name='out_of_distribution', title='out of distribution'),
-        ),
-        rows=tuple(
-            (insight.moment.t_s, near.by_picture[0].distance, near.usual, 100 * near.farther_than,
-             near.foreign)
-            for insight in found.insights if (near := insight.nearness) is not None
-        ),
-    )
-
-
 def _cells(moment: Moment, estimate: TrackingError, misled_rad: float) -> tuple[Cell, ...]:
     if not estimate.usable:
         return (None,) * len(_ESTIMATE)
@@ -261,21 +177,6 @@ def _moment_json(found: Explanation, number: int) -> dict[str, Any]:
             name: {'picture': area, 'effect': weight}
             for name, (area, weight) in insight.parts.items()
         },
-        'nearest': _nearness_json(found, insight),
-    }
-
-
-def _nearness_json(found: Explanation, insight: Insight) -> dict[str, Any] | None:
-    near = insight.nearness
-    if near is None or found.training is None:
-        return None
-    names = found.training.images.scenes['image']
-    return {
-        'farther_than': near.farther_than, 'usual': near.usual,
-        'out_of_distribution': near.foreign,
-        'by_picture': [{'image': names.iloc[n.row], 'distance': n.distance}
-                       for n in near.by_picture],
-        'by_scene': [{'image': names.iloc[n.row], 'distance': n.distance} for n in near.by_scene],
     }
 
 

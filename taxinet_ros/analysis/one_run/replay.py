@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -143,7 +142,6 @@ def plot_replay(
         raise ValueError('no quantity to draw')
     rows = 2 * len(differences)
     figure = Figure(figsize=(9.5, 0.9 + 3.1 * len(differences)), dpi=110, layout='constrained')
-    FigureCanvasAgg(figure)
     ratios = [3, 1] * len(differences)
     grid = figure.subplots(rows, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
     t_s = trace['t_ns'].astype(np.float64) / 1e9

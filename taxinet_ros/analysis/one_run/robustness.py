@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -66,7 +65,6 @@ def robustness_picture(
     figure = Figure(
         figsize=(12.5, 0.7 + 0.9 * len(judged) + 2.3 * sum(heights)), dpi=110, layout='constrained'
     )
-    FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12)
     ratios = [height + 0.4 for height in heights]
     rows = figure.subfigures(len(judged), 1, height_ratios=ratios, squeeze=False)

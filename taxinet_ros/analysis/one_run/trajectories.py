@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -75,7 +74,6 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
     if not labels:
         raise ValueError('no trajectories to draw')
     figure = Figure(figsize=(1.6 + 5.2 * len(labels), 7.2), dpi=110, layout='constrained')
-    FigureCanvasAgg(figure)
     grid = figure.subplots(2, len(labels), squeeze=False, sharey=True, sharex='row')
     for column, label in enumerate(labels):
         own = [one for one in trajectories if one.label == label]

@@ -153,6 +153,12 @@ class Report:
     rho: Mapping[str, float] = field(default_factory=dict)
     made_on: str = ''
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All sentences, those of the summary first."""
+        return (*self.summary, *(
+            sentence for section in self.sections for sentence in section.sentences))
+
 
 def style_axes(axes: Axes, *, grid: str = 'both') -> None:
     """Put a grid behind the plot, and remove the frame at sides without a scale."""

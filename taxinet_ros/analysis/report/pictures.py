@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 from matplotlib.style import context as style_context
 from PIL import Image
 
-from taxinet_ros.analysis.report.parts import Picture, Theme
+from taxinet_ros.analysis.report.parts import Picture, Report, Theme
 from taxinet_ros.files.atomic import write_atomically
 
 # Okabe-Ito blue and vermilion, as in the other pictures; on dark pages lighter shades of these
@@ -47,7 +47,6 @@ def png_bytes(picture: Picture, theme: Theme) -> bytes:
             figsize=picture.size_in, dpi=DOTS_PER_INCH, layout='constrained',
             facecolor=theme.paper,
         )
-        FigureCanvasAgg(figure)
         picture.draw(figure, theme)
         figure.savefig(buffer, format='png', metadata={'Software': None})
     return buffer.getvalue()
@@ -75,6 +74,17 @@ def _defaults(theme: Theme) -> dict[str, Any]:
         'grid.color': theme.faint, 'legend.edgecolor': theme.faint,
         'axes.prop_cycle': cycler(color=cycle),
     }
+
+
+def write_pictures(
+    report: Report, folder: Path, on_progress: Callable[[str], None] = lambda _: None
+) -> list[Path]:
+    """Write all pictures of a report for light pages, as :func:`write_png` does."""
+    written = []
+    for picture in (one for section in report.sections for one in section.pictures):
+        on_progress(f'picture {picture.name}')
+        written.append(write_png(picture, folder, LIGHT))
+    return written
 
 
 _CSS_PIXELS_PER_INCH = 96

@@ -32,6 +32,12 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def signs(words: str) -> str:
+    """A value with its unit as a page shows it: a true minus, and ``°`` for ``deg``."""
+    words = f'−{words[1:]}' if words.startswith('-') else words
+    return words.replace(' deg', '°')
+
+
 # Characters that HTML cannot contain: control characters other than tab and line ends, lone
 # surrogates, and the last two non-characters of the first plane.
 _UNFIT = re.compile('[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]')

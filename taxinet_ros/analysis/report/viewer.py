@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.report.values import plain_number
+from taxinet_ros.analysis.report.values import plain_number, signs
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording, open_recording
@@ -25,13 +25,7 @@ from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import RUNWAY_TRACK, Track, painted_line
-from taxinet_ros.core.scenario_fields import (
-    BY_KEY,
-    DISTANCE,
-    TIME_OF_DAY,
-    ScenarioField,
-    clock_words,
-)
+from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
 
@@ -262,19 +256,5 @@ def _words(facts: RunFacts) -> dict[str, str]:
         words['perception'] = perception.implementation
     words['program'] = f'{facts.program}, seed {facts.seed}, run {facts.index}'
     for name, value in facts.scene.items():
-        words[BY_KEY[name].label] = _scene_words(BY_KEY[name], value)
+        words[BY_KEY[name].label] = signs(BY_KEY[name].value_words(value))
     return {name: word for name, word in words.items() if word}
-
-
-def _scene_words(field: ScenarioField, value: Any) -> str:
-    """A value of the scene as in the tables and figures: clock times, round numbers, true minus."""
-    if isinstance(value, bool):
-        return 'yes' if value else 'no'
-    if field is TIME_OF_DAY:
-        return clock_words(value)
-    if isinstance(value, float):
-        digits = 0 if field is DISTANCE else 1
-        number = f'{value:,.{digits}f}'
-        number = number.rstrip('0').rstrip('.') if digits else number
-        return number.replace('-', '−') + field.unit_mark
-    return str(value)

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.analysis.report.pictures import PictureView, data_address, view_picture
@@ -110,6 +111,7 @@ def _draw(view: RunView, row: int, figure: Figure, theme: Theme) -> None:
     axes.set_ylim(-edge - _BEYOND_EDGE_M, edge + _BEYOND_EDGE_M)
     axes.set_xlabel('along the runway [m]' if straight else 'time [s]')
     axes.set_ylabel('from the line [m],\nleft is up')
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.margins(x=0.02)
     style_axes(axes, grid='none')
     figure.legend(loc='outside upper center', ncols=3, frameon=False, fontsize=9)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from taxinet_ros.scenes.search_space import Choice
@@ -36,7 +35,6 @@ def learned_picture(
     columns = min(_COLUMNS, len(shown))
     rows = math.ceil(len(shown) / columns)
     figure = Figure(figsize=(4.6 * columns, 0.6 + 2.9 * rows), dpi=110, layout='constrained')
-    FigureCanvasAgg(figure)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for place, choice in zip(axes, shown, strict=False):
         _draw(place, choice, probabilities[choice.dimension.name])

@@ -14,11 +14,14 @@ from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.one_run.trajectories import BAND_M, Trajectory
 from taxinet_ros.analysis.report.page import write_report_page
-from taxinet_ros.analysis.report.parts import Column, Picture, Section, Table, Theme
+from taxinet_ros.analysis.report.parts import Column, Picture, Table, Theme
 from taxinet_ros.analysis.report.parts import Report as PageReport
-from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+from taxinet_ros.analysis.report.pictures import write_pictures
+from taxinet_ros.analysis.report.text import fill_report
+from taxinet_ros.analysis.report.values import signs
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
@@ -28,16 +31,12 @@ from taxinet_ros.trials.shrink.options import ShrinkOptions
 from taxinet_ros.trials.shrink.shrinking import (
     Report,
     edge_words,
-    finding_lines,
     off_nominal,
     run_command,
 )
 
+TEXT = Path(__file__).with_name('shrink.j2')
 _MOST = 3
-_NOTHING = {
-    False: 'No single parameter matters: the failure stays whichever is made nominal.',
-    True: 'Which parameters matter is not known yet.',
-}
 _LEAST_M, _BEYOND_EDGE_M = 2.5, 4.0
 
 
@@ -132,9 +131,7 @@ def write_shrunk(options: ShrinkOptions, found: Report, runs: int) -> list[str]:
     write_atomically(out / PROGRAM_NAME, scenario_program(found.scenario, about, remarks))
     write_atomically(out / JSON_NAME, json.dumps(_as_json(options, found, runs), indent=2) + '\n')
     report = shrink_report(options, found, runs)
-    for section in report.sections:
-        for picture in section.pictures:
-            write_png(picture, out, LIGHT)
+    write_pictures(report, out)
     write_report_page(report, out / PAGE_NAME)
     pictures = [PICTURE_NAME] if report.sections[0].pictures else []
     return [PAGE_NAME, PROGRAM_NAME, JSON_NAME, *pictures]
@@ -151,41 +148,23 @@ def shrink_report(options: ShrinkOptions, found: Report, runs: int) -> PageRepor
     name = options.headline
     drawn = _trajectories(options, found)
     three = _three(found)
-    ended = found.state.end.value or 'interrupted'
-    matter = [one.key for one in found.findings if one.matters]
     bags = {
         row.run_id: options.campaign.out / row.bag
         for row in sorted(three.values(), key=lambda row: row.rho[name])
         if row.bag and (options.campaign.out / row.bag).is_dir()
     }
     shrunk = three.get('shrunk')
-    return PageReport(
-        title=f'{options.run.run_id}, shrunk',
-        facts={
-            'network': Path(options.campaign.perception).name, 'formula': name,
-            'runs': f'{runs:,}', 'ended': ended,
+    pictures = [shrink_picture(drawn, f'Fails with {off_nominal(found)}')] if drawn else []
+    return fill_report(
+        TEXT, {
+            'values': _as_json(options, found, runs), 'fields': BY_KEY,
+            'network': Path(options.campaign.perception).name,
+            'command': run_command(options, PROGRAM_NAME),
         },
-        summary=(
-            f'It still fails with {off_nominal(found)}; every other parameter is nominal.',
-            f'What matters: {", ".join(matter)}.' if matter else _NOTHING[
-                any(one.matters is None for one in found.findings)],
-            *finding_lines(found)[1:],
-        ),
-        sections=(Section(
-            name='parameters', heading='Parameters',
-            pictures=(shrink_picture(drawn, f'Fails with {off_nominal(found)}'),) if drawn else (),
-            commands=(run_command(options, PROGRAM_NAME),),
-            tables=(_parameters(found),),
-        ),),
-        runs=bags, worst='' if shrunk is None else shrunk.run_id,
-        worst_words='The shrunk run',
+        {'parameters': (*pictures, _parameters(found))},
+        runs=bags, worst='' if shrunk is None else shrunk.run_id, worst_words='The shrunk run',
         rho={row.run_id: row.rho[name] for row in three.values()},
     )
-
-
-def _signs(words: str) -> str:
-    words = f'−{words[1:]}' if words.startswith('-') else words
-    return words.replace(' deg', '°')
 
 
 def _parameters(found: Report) -> Table:
@@ -199,7 +178,7 @@ def _parameters(found: Report) -> Table:
             Column(name='matters', title='matters'),
         ),
         rows=tuple(
-            (one.key, *(_signs(one.words(value))
+            (one.key, *(signs(one.words(value))
                         for value in (one.original, one.nominal, one.shrunk)),
              one.rho_in_original, one.rho_in_shrunk,
              'nominal already' if one.original == one.nominal else one.matters)

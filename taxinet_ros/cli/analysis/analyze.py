@@ -11,8 +11,9 @@ from rich.table import Table
 
 from taxinet_ros.analysis.campaign.findings import Findings, analyse
 from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, json_text, write_analysis
-from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentences, summary
+from taxinet_ros.analysis.campaign.report import campaign_report
 from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
+from taxinet_ros.analysis.report.parts import Report
 from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
 from taxinet_ros.cli.progress import Heartbeat
 from taxinet_ros.errors import ExitCode, UsageError
@@ -57,15 +58,15 @@ def run_analyze(
     if as_json:
         print(json_text(values), end='')
     else:
-        _print(console, findings, folder)
+        _print(console, findings, report, folder)
         console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
     return ExitCode.OK if runs.weighting.rated else ExitCode.INCOMPLETE
 
 
-def _print(console: Console, findings: Findings, folder: Path) -> None:
+def _print(console: Console, findings: Findings, report: Report, folder: Path) -> None:
     """Print the summary, with the causes as a table instead of sentences."""
-    in_table = set(cause_sentences(findings)[1:])
-    for sentence in summary(findings):
+    in_table = {f'{cause.rank}. {cause.sentence()}.' for cause in findings.causes.found}
+    for sentence in report.summary:
         if sentence not in in_table:
             console.print(sentence, soft_wrap=True, markup=False)
     if findings.causes.found:

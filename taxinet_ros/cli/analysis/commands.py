@@ -224,10 +224,6 @@ def explain(
         str | None,
         typer.Option(metavar='WORD|FILE', help="network to examine (default: the run's)"),
     ] = None,
-    dataset: Annotated[
-        Path | None,
-        typer.Option(metavar='DIR', help='training images to compare the frames with'),
-    ] = None,
     frames: Annotated[
         int,
         typer.Option(
@@ -250,16 +246,16 @@ def explain(
     """Explain why the network failed in one run.
 
     Shows where its estimates are wrong; what it would estimate at the worst moments without shadow,
-    crossing or rain, under another sky and at another hour; which image region the estimate depends
-    on; and the nearest training images.
+    crossing or rain, under another sky and at another hour; and which image region the estimate
+    depends on.
     """
     from taxinet_ros.cli.analysis.explain import ExplainOptions, run_explain
     from taxinet_ros.cli.bag.input import readable_run
 
     with readable_run(bag, run_id) as whole:
         code = run_explain(ExplainOptions(
-            recording=whole, perception=perception, dataset=dataset, frames=frames,
-            camera=camera, out=out, as_json=as_json,
+            recording=whole, perception=perception, frames=frames, camera=camera,
+            out=out, as_json=as_json,
         ))
     raise typer.Exit(code)
 

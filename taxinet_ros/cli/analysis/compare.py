@@ -21,7 +21,6 @@ from taxinet_ros.analysis.campaign.compared import (
     compared,
     compared_json,
     compared_report,
-    compared_sentences,
 )
 from taxinet_ros.analysis.campaign.folder import csv_text
 from taxinet_ros.analysis.runs.campaign import (
@@ -123,7 +122,7 @@ def run_compare(options: CompareOptions) -> int:
     _write(found, out)
     if options.as_json:
         print(json.dumps(compared_json(found), indent=2, allow_nan=False))
-    for sentence in compared_sentences(found):
+    for sentence in compared_report(found).summary:
         console.print(sentence, soft_wrap=True, markup=False)
     console.print(f'page: {out / PAGE_NAME}', soft_wrap=True, markup=False)
     return ExitCode.OK
@@ -187,12 +186,11 @@ def _driven(
 
 def _write(found: Compared, out: Path) -> None:
     from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.analysis.report.pictures import write_pictures
 
     report = compared_report(found)
+    write_pictures(report, out)
     for section in report.sections:
-        for picture in section.pictures:
-            write_png(picture, out, LIGHT)
         for table in section.tables:
             write_atomically(out / CSV_NAME, csv_text(table))
     text = json.dumps(compared_json(found), indent=2, allow_nan=False)

@@ -3,41 +3,26 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 from rich.console import Console
 
-from taxinet_ros.analysis.explain.explain import Explanation, explain, explain_sentences
-from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingImages
+from taxinet_ros.analysis.explain.explain import Explanation, explain
 from taxinet_ros.analysis.explain.report import explain_json, explain_report
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.renderer import ChosenRenderer, find_renderer
-from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
 from taxinet_ros.registry import KMWH
-from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
 JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
-
-MOST_IMAGES = 4000
-"""Maximum number of images compared, evenly spread over the data set; reading takes 4 ms each."""
-
-_THREADS = 2
-_SCENE = ('time_of_day_h', 'clouds', 'rain_percent')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +32,6 @@ class ExplainOptions:
     Attributes:
         bag: a run folder or an ``.mcap`` file.
         perception: word or file; None: the run's own.
-        dataset: folder of training images, or None.
         frames: maximum number of moments to examine.
         camera: who takes pictures of the modified scenes, the run's camera; None: ours does, and
             those of another camera are not modified.
@@ -57,7 +41,6 @@ class ExplainOptions:
 
     recording: Recording
     perception: str | None
-    dataset: Path | None
     frames: int
     camera: str | None
     out: Path | None
@@ -81,12 +64,10 @@ def run_explain(options: ExplainOptions) -> int:
         renderer = _renderer(run, options.camera)
         out = options.out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
         check_new(out)
-        folder = None if options.dataset is None else open_folder(options.dataset)
         with stage_bars(console) as show:
-            training = None if folder is None else _training(folder, show)
             found = explain(
                 options.recording, make_perception(word), frames=options.frames,
-                training=training, on_progress=show, renderer=renderer,
+                on_progress=show, renderer=renderer,
             )
     _make(out)
     written = _write(found, out)
@@ -94,7 +75,7 @@ def run_explain(options: ExplainOptions) -> int:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
         return ExitCode.OK
     console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
-    for sentence in explain_sentences(found):
+    for sentence in explain_report(found).summary:
         console.print(sentence, soft_wrap=True, markup=False)
     console.print(f'page: {written}', soft_wrap=True, markup=False)
     return ExitCode.OK
@@ -134,43 +115,6 @@ def _renderer(run: RecordedRun, asked: str | None) -> ChosenRenderer | None:
     )
 
 
-def _training(folder: ImageFolder, show: Callable[[str, int, int], None]) -> NearestImages:
-    """Load evenly spaced images of a data set, preprocessed as network input."""
-    total = len(folder)
-    if total < 2:
-        raise UsageError(f'--dataset {folder.path}: holds {total} image; needs two or more')
-    rows = np.unique(np.linspace(0, total - 1, min(total, MOST_IMAGES)).astype(int)).tolist()
-    pictures = []
-    with ThreadPoolExecutor(_THREADS) as pool:
-        try:
-            for picture in pool.map(lambda row: shrink(folder.picture(row)[0]), rows):
-                pictures.append(picture)
-                show('training', len(pictures), len(rows))
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return NearestImages(TrainingImages(
-        name=folder.path.resolve().name, total=total, pictures=np.array(pictures),
-        scenes=_scenes(folder, rows),
-    ))
-
-
-def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
-    """Labels of rows, and further scene values from the table."""
-    frames = [folder.frames[row] for row in rows]
-    scenes = pd.DataFrame({
-        'image': [frame.image for frame in frames],
-        'cte_m': [frame.truth.cte_m for frame in frames],
-        'heading_error_deg': [math.degrees(frame.truth.he_rad) for frame in frames],
-        'distance_m': [frame.distance_m for frame in frames],
-    })
-    if folder.table.suffix == '.parquet':
-        table = pd.read_parquet(folder.table).rename(columns=SHORT_FORMS)
-        for name in _SCENE:
-            if name in table:
-                scenes[name] = table[name].to_numpy()[rows]
-    return scenes
-
-
 def _make(out: Path) -> None:
     try:
         make_folder(out)
@@ -181,12 +125,10 @@ def _make(out: Path) -> None:
 def _write(found: Explanation, out: Path) -> Path:
     """Write images, JSON and page; return the page's path."""
     from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.analysis.report.pictures import write_pictures
 
     report = explain_report(found)
-    for section in report.sections:
-        for picture in section.pictures:
-            write_png(picture, out, LIGHT)
+    write_pictures(report, out)
     write_atomically(
         out / JSON_NAME, json.dumps(explain_json(found), indent=2, allow_nan=False) + '\n')
     write_report_page(report, out / PAGE_NAME)

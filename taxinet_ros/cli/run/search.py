@@ -276,29 +276,22 @@ def _report(
     as_json: bool,
 ) -> None:
     from taxinet_ros.analysis.experiment.arms import paired_arms, pairs_frame
-    from taxinet_ros.analysis.experiment.report import (
-        experiment_json,
-        experiment_report,
-        experiment_sentences,
-    )
+    from taxinet_ros.analysis.experiment.report import experiment_json, experiment_report
     from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.analysis.report.pictures import write_pictures
 
     found = paired_arms(experiment, rows)
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
     write_table(pairs, frame)
     write_sealed(out / JSON_NAME, values, [pairs])
-    pictures = [
-        write_png(picture, out, LIGHT) for section in report.sections
-        for picture in section.pictures
-    ]
+    pictures = write_pictures(report, out)
     write_report_page(report, out / PAGE_NAME)
     if as_json:
         print(json.dumps(values, indent=2))
         return
     names = [PAGE_NAME, *(path.name for path in pictures), PAIRS_NAME, JSON_NAME]
-    lines = [*experiment_sentences(found), f'written: {out / names[0]}, {", ".join(names[1:])}']
+    lines = [*report.sentences, f'written: {out / names[0]}, {", ".join(names[1:])}']
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ import typer
 from rich.console import Console
 
 from taxinet_ros.analysis.report.page import write_report_page
+from taxinet_ros.analysis.report.parts import Section
 from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
@@ -28,7 +30,6 @@ from taxinet_ros.study.why.report import (
     why_report,
 )
 from taxinet_ros.study.why.verdict import (
-    Action,
     Evidence,
     Fault,
     Verdict,
@@ -136,28 +137,28 @@ def _run(
 
 
 def _print(
-    show: Callable[[str], None], verdict: Verdict, todo: Sequence[Action], out: Path
+    show: Callable[[str], None], verdict: Verdict, todo: Sequence[Section], out: Path
 ) -> None:
     show('')
     for sentence in verdict.sentences:
         show(sentence)
     for action in todo:
         show('')
-        show(action.words)
+        show(' '.join(action.sentences))
         for command in action.commands:
             show(f'  {command}')
     show('')
     show(f'page: {_near(out / PAGE_NAME)}')
 
 
-def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Action, ...]:
+def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Section, ...]:
     """What to do; paths below the current folder are as one would type them."""
     folder = path if kind == 'campaign' else path.parent
     campaign = open_campaign(folder) if is_campaign(folder) else None
     kept = campaign is not None and any(map(campaign.bag, campaign.counterexamples))
     here = f'{Path.cwd()}/'
     return tuple(
-        Action(words=one.words, commands=tuple(line.replace(here, '') for line in one.commands))
+        replace(one, commands=tuple(line.replace(here, '') for line in one.commands))
         for one in actions(
             evidence, verdict.fault, campaign=None if campaign is None else folder, kept_bags=kept)
     )

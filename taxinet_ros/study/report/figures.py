@@ -35,7 +35,7 @@ def rates_picture(networks: pd.DataFrame) -> Picture:
     """
 
     def draw(figure: Figure, theme: Theme) -> None:
-        panels = figure.subplots(1, 2, sharey=True)
+        panels = figure.subplots(1, 2, sharey=True, gridspec_kw={'wspace': 0.1})
         for axes, name, title in zip(
             panels, ('satisfied', 'off_runway'), ('satisfy the formula', 'leave the runway'),
             strict=True,
@@ -105,11 +105,12 @@ def learned_picture(learned: pd.DataFrame) -> Picture:
                               ecolor=theme.ink, capsize=3, elinewidth=1)
         axes.plot(places, learned['paper'].to_numpy(dtype=float), 'D', color=theme.failed,
                   markersize=7, label='learned in the paper', clip_on=False)
-        words = [f'{low:,.0f}-{high:,.0f} m' for low, high in
+        words = [f'{low:,.0f}-{high:,.0f}' for low, high in
                  zip(learned['from_m'], learned['to_m'], strict=True)]
         axes.set_xticks(places, words)
         axes.set_ylim(0, 1)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=' %'))
+        axes.set_xlabel('start distance along the runway [m]')
         axes.set_ylabel('probability')
         style_axes(axes, grid='y')
         axes.legend(frameon=False, fontsize=9, ncols=4, loc='lower center',

@@ -22,7 +22,9 @@ from taxinet_ros.analysis.causes.program import (
 )
 from taxinet_ros.analysis.causes.region import Region, part_of
 from taxinet_ros.analysis.fault_localisation import Blame
+from taxinet_ros.analysis.report.text import sentences
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
+from taxinet_ros.analysis.search.shrinking import TEXT
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.assurance.switch import check_controller
@@ -92,7 +94,6 @@ from taxinet_ros.trials.past_runs.trials import Task, Trial, TrialSystem, make_t
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
 from taxinet_ros.trials.record.table import PARQUET_NAME
 from taxinet_ros.trials.run_command import RunSettings
-from taxinet_ros.trials.shrink.algorithm import End
 
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
 _RIG = (AIRCRAFT_MODEL, CAMERA, *CAMERA_OFFSETS)
@@ -383,7 +384,8 @@ class Investigation:
         path = self.out / SHRINK / 'shrink.json'
         if not path.is_file():
             return ()
-        return shrink_sentences(json.loads(path.read_text(encoding='utf-8')))
+        values = json.loads(path.read_text(encoding='utf-8'))
+        return sentences(TEXT, 'summary', values=values, fields=BY_KEY)
 
     # A run ---------------------------------------------------------------------------------------
 
@@ -535,43 +537,6 @@ def unsatisfiable(scenario: Scenario, judging: Judging, gains: Mapping[str, floa
         judging.parsed_specs, scenario.duration_s, SteeringGains(**gains), scenario
     ).warnings
     return next((text for text in found if UNSATISFIABLE in text), '')
-
-
-def shrink_sentences(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """What ``shrink.json`` says, the most important first."""
-    parameters = values['parameters']
-    matter = [key for key, one in parameters.items() if one['matters']]
-    away = [key for key, one in parameters.items() if one['shrunk'] != one['nominal']]
-    sentences = []
-    if values['end'] == End.NOMINAL_FAILS.value:
-        return (
-            'It also fails in the plainest scene: weather and pose are not the reason; look at '
-            'camera, place or network.',
-        )
-    if matter:
-        words = [f'{BY_KEY[key].title} {BY_KEY[key].value_words(parameters[key]["shrunk"])}'
-                 for key in matter]
-        only = 'alone is' if len(matter) == 1 else 'are together'
-        sentences.append(
-            f'Shrunk to what matters, {" and ".join(words)} {only} enough to violate '
-            f'{values["spec"]}; everything else is nominal.'
-            if set(away) <= set(matter) else
-            f'In the shrunk scene {" and ".join(words)} matter.'
-        )
-    for key in matter:
-        one = parameters[key]
-        if one['passes_at'] is not None:
-            field = BY_KEY[key]
-            sentences.append(
-                f'{field.title[0].upper()}{field.title[1:]}: {field.value_words(one["shrunk"])} '
-                f'fails, {field.value_words(one["passes_at"])} passes.'
-            )
-    if values['end'] == End.SPENT.value:
-        sentences.append(
-            'Shrinking ended before it was minimal, as its runs were spent; a larger --budget '
-            'goes on.'
-        )
-    return tuple(sentences)
 
 
 def _with_domain(found: Evidence, scenes: Sequence[Mapping[str, Any]]) -> Evidence:

@@ -9,13 +9,19 @@ from __future__ import annotations
 
 import enum
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader
-
+from taxinet_ros.analysis.report.parts import Section
+from taxinet_ros.analysis.report.text import (
+    decimals,
+    environment,
+    fill_report,
+    p_words,
+    sentences,
+)
 from taxinet_ros.analysis.runs.campaign import holm
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.world import world_and_camera
@@ -23,6 +29,7 @@ from taxinet_ros.registry import KMWH
 from taxinet_ros.trials.rates import Rate, rate
 from taxinet_ros.trials.run_command import RunSettings
 
+_FOLDER = Path(__file__).parent
 _SIGNIFICANT = 0.05
 
 
@@ -103,10 +110,11 @@ class Paired:
             f'still {self.after}' if self.after == self.before
             else f'{self.after} instead of {self.before}'
         )
+        value, low, high = (
+            decimals(100 * share, 0, '+') for share in (self.difference, self.low, self.high))
         return (
-            f'{self.words}, {change} of {self.scenes} fresh scenes '
-            f'are satisfied: {_points(self.difference)} points '
-            f'({_points(self.low)} to {_points(self.high)}, p {p_words(self.p)})'
+            f'{self.words}, {change} of {self.scenes} fresh scenes are satisfied: {value} points '
+            f'({low} to {high}, {p_words(self.p)})'
         )
 
 
@@ -244,27 +252,13 @@ def fault_of(evidence: Evidence) -> Fault:
 def judge(evidence: Evidence) -> Verdict:
     """The verdict on the evidence; its sentences are those of ``verdict.j2``."""
     fault = fault_of(evidence)
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=False, trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(interval=_interval, capital=_capital)
-    words: Any = environment.get_template('verdict.j2').make_module({
-        'e': evidence, 'b': evidence.blames or Blames(), 'fault': fault.value,
-    })
+    values = {'e': evidence, 'b': evidence.blames or Blames(), 'fault': fault.value}
     whose, where, sure = (
-        ' '.join(macro().split()) for macro in (words.whose, words.where, words.sure))
+        ' '.join(sentences(_FOLDER / 'verdict.j2', block, **values))
+        for block in ('whose', 'where', 'sure'))
     # Said first: no other cause need be looked for before.
     outside = f'{evidence.outside}. ' if evidence.outside and evidence.failed else ''
     return Verdict(fault=fault, sentences=(f'{outside}{whose}', where, sure))
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Action:
-    """Something to do: why, and the commands; none if it cannot be said as one."""
-
-    words: str
-    commands: tuple[str, ...] = ()
 
 
 TRAINED, ADDED, FURTHER = 'training_full', 2400, 4000
@@ -274,8 +268,8 @@ TRAINED, ADDED, FURTHER = 'training_full', 2400, 4000
 
 def actions(
     evidence: Evidence, fault: Fault, *, campaign: Path | None, kept_bags: bool
-) -> Iterator[Action]:
-    """What to do about it, the most useful first.
+) -> tuple[Section, ...]:
+    """What to do about it, the most useful first: why, and the commands, if there are any.
 
     Args:
         evidence: what was found out.
@@ -283,112 +277,29 @@ def actions(
         campaign: folder of the campaign; None for a single run.
         kept_bags: whether some failed run has its bag, along whose path pictures can be taken.
     """
-    where = str(campaign) if campaign is not None else evidence.subject
-    match fault:
-        case Fault.BENCH:
-            yield Action(
-                words='Find what broke: the table names kind and node of every run, and the '
-                'folder logs/ has their output. Then run the campaign again.',
-                commands=(_line('doctor', where),),
-            )
-        case Fault.NOTHING:
-            if evidence.settings is not None and not evidence.settings.graph_only:
-                yield Action(
-                    words='Search harder, by a sampler that seeks failures:',
-                    commands=(evidence.settings.command(
-                        str(evidence.scenes), '--runs', '1000', '--workers', '2', '--engine',
-                        'loop', verb='falsify',
-                    ),),
-                )
-        case Fault.REQUIREMENT:
-            yield _requirement(evidence)
-        case Fault.UNCLEAR:
-            for stage, why in evidence.troubles.items():
-                yield Action(words=f'{_capital(stage)} was not done: {why}.')
-    blames = evidence.blames or Blames()
-    if fault is Fault.NETWORK or (fault is Fault.SEVERAL and blames.network):
-        yield from _training(evidence, campaign, kept_bags=kept_bags)
-    if fault is Fault.CONTROLLER or (fault is Fault.SEVERAL and blames.controller):
-        yield from _controller(evidence)
-    if fault is Fault.SEVERAL and blames.requirement:
-        yield _requirement(evidence)
-
-
-def _training(
-    evidence: Evidence, campaign: Path | None, *, kept_bags: bool
-) -> Iterator[Action]:
-    name = Path(evidence.network).stem if trainable(evidence.network) else 'mended'
-    mended = f'{name}-mended.safetensors'
+    can_train = trainable(evidence.network)
+    mended = f'{Path(evidence.network).stem if can_train else "mended"}-mended.safetensors'
     programs = [cause.program for cause in evidence.causes if cause.program is not None]
     if not programs and evidence.scenes is not None:
         programs = [evidence.scenes]
-    world, camera = world_and_camera(evidence.settings.world if evidence.settings else KMWH)
-    if world != KMWH:
-        yield Action(
-            words=f'taxinet train renders pictures of our own world, not of world {world}: take '
-            'labelled pictures there, and train with them (taxinet train --data).'
-        )
-        return
-    if camera != OURS or not trainable(evidence.network):
-        seen = [] if camera == OURS else ['--camera', camera]
-        why = f'taxinet train renders its own pictures, not those of camera {camera}' if seen else (
-            f'{evidence.network} is not trained by taxinet train')
-        yield Action(
-            words=f'{why}. Render labelled pictures of the scenes in which it fails, train it on '
-            'them with your own tools, and compare:',
-            commands=tuple(
-                _line('dataset', str(path), '--count', str(ADDED), *seen, '--out',
-                      f'pictures-{path.stem}') for path in programs
-            ),
-        )
-        return
-    words = ['train', str(evidence.base or TRAINED), '--start', evidence.network]
+    train = ['train', str(evidence.base or TRAINED), '--start', evidence.network]
     for path in programs:
-        words += ['--add', f'{path}={ADDED}']
+        train += ['--add', f'{path}={ADDED}']
     if campaign is not None and kept_bags:
-        words += ['--add-runs', f'{campaign}={FURTHER}']
-    words += ['--epochs', '8', '--learning-rate', '0.001', '--out', mended]
-    kept = '' if kept_bags or campaign is None else (
-        ' The bags of the failed runs are gone, so pictures along their paths cannot be added.')
-    yield Action(
-        words='Train the network further on the scenes in which it fails, mixed with the whole '
-        f'world so that nothing is unlearned.{kept}', commands=(_line(*words),),
+        train += ['--add-runs', f'{campaign}={FURTHER}']
+    world, camera = world_and_camera(evidence.settings.world if evidence.settings else KMWH)
+    found = fill_report(_FOLDER / 'todo.j2', {
+        'e': evidence, 'b': evidence.blames or Blames(), 'fault': fault.value,
+        'command': _line, 'campaign': campaign, 'kept_bags': kept_bags, 'programs': programs,
+        'world': world, 'our_world': KMWH, 'camera': camera, 'our_camera': OURS, 'added': ADDED,
+        'trainable': can_train, 'mended': mended, 'train': _line(
+            *train, '--epochs', '8', '--learning-rate', '0.001', '--out', mended),
+        'bag': next((cause.bag for cause in evidence.causes if cause.bag is not None), None),
+    }, {})
+    return tuple(
+        replace(section, name=f'todo-{number}', heading='And then' if number > 1 else 'What to do')
+        for number, section in enumerate(found.sections, 1)
     )
-    if programs and evidence.settings is not None:
-        yield Action(
-            words='Then see on fresh scenes what got better and what got worse:',
-            commands=(evidence.settings.compare_command(
-                mended, str(programs[0]), '--seed', str(evidence.seed)),),
-        )
-
-
-def _controller(evidence: Evidence) -> Iterator[Action]:
-    bag = next((cause.bag for cause in evidence.causes if cause.bag is not None), None)
-    if bag is None:
-        yield Action(words=f'Change the controller {evidence.controller} or its gains.')
-        return
-    commands = [_line('run', '--from', str(bag), '--perception', 'truth')]
-    if evidence.controller == 'steering':
-        commands.append(_line(
-            'fork', str(bag), '--at', '0', '--perception', 'truth', '--sweep',
-            'steering.heading_gain=0.4:3:0.2',
-        ))
-    yield Action(
-        words=f'Look at a run with perfect estimates, and change {evidence.controller}, its gains, '
-        'or what it has to resist. --add-runs would train a network that is not at fault.',
-        commands=tuple(commands),
-    )
-
-
-def _requirement(evidence: Evidence) -> Action:
-    text = f'{evidence.spec}={evidence.formula}' if evidence.formula else evidence.spec
-    words = 'Change the requirement, or let the scenes start where it holds.'
-    commands = [_line('spec', text)]
-    inner = evidence.formula.removeprefix('always(')
-    if inner != evidence.formula and not evidence.unsatisfiable:
-        words += ' To give the aircraft ten seconds to reach its line:'
-        commands.append(_line('spec', f'settled=eventually[0:10](always({inner})'))
-    return Action(words=words, commands=tuple(commands))
 
 
 def trainable(network: str) -> bool:
@@ -396,22 +307,12 @@ def trainable(network: str) -> bool:
     return network.endswith('.safetensors') or not any(sign in network for sign in './: ')
 
 
-def _points(share: float) -> str:
-    return f'{100 * share:+.0f}'.replace('-', '−')
-
-
-def p_words(p: float) -> str:
-    """Display text of a p value."""
-    return '< 0.001' if p < 0.001 else f'= {p:.3f}'
-
-
-def _line(*words: str) -> str:
-    return shlex.join(['taxinet', *words])
+def _line(*words: Any) -> str:
+    return shlex.join(['taxinet', *map(str, words)])
 
 
 def _interval(share: Rate) -> str:
     return f'95 % interval {100 * share.low:.0f}–{100 * share.high:.0f} %'
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+environment(_FOLDER).filters['interval'] = _interval

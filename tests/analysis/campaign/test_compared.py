@@ -11,7 +11,7 @@ from taxinet_ros.analysis.campaign.compared import (
     changed_table,
     compared,
     compared_json,
-    compared_sentences,
+    compared_report,
 )
 from taxinet_ros.analysis.causes.causes import find_causes
 from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
@@ -53,7 +53,7 @@ def test_given_the_shipped_tables_then_the_pairs_are_those_that_a_join_by_hand_g
     told = compared_json(found)
     assert told['satisfied']['difference'] == pytest.approx(8 / 400)
     assert told['satisfied']['low'] < 0 < told['satisfied']['high']
-    assert next(iter(compared_sentences(found))).startswith('No difference between')
+    assert compared_report(found).summary[0].startswith('No difference between')
     mirrored = of_shipped('specialised', 'generic')
     assert mirrored.satisfied.only_first == rates.only_second
     assert mirrored.satisfied.difference.value == -rates.difference.value
@@ -91,7 +91,7 @@ def test_given_a_network_that_broke_in_rain_then_rain_is_named_and_only_as_worse
     assert 'rain' in cause.region.words()
     wet = int((found.scenes['rain_percent'] > 0).sum())
     assert found.satisfied.only_first == wet == cause.inside.failures
-    first, *others = compared_sentences(found)
+    first, *others = compared_report(found).summary
     assert first.startswith('after is worse than before.')
     assert any(line.startswith('Got worse: rain') for line in others)
 
@@ -119,7 +119,7 @@ def test_given_scenes_chosen_by_results_then_there_is_no_test_and_the_reason_is_
         tmp_path, lambda table: 0.5 + 0 * table['rain_percent'],
         lambda table: 0.0 * table['rain_percent'], sampler='ce', weight=np.nan))
     assert (found.tested, found.clear) == (False, False)
-    first = next(iter(compared_sentences(found)))
+    first = compared_report(found).summary[0]
     assert first.startswith('No test says whether after is better than before: the scenes were')
     assert compared_json(found)['satisfied']['mcnemar_p'] is None
 
@@ -149,4 +149,4 @@ def test_given_scenes_that_a_sampler_chose_too_then_only_the_drawn_ones_count_an
     found = compared(*pair(tmp_path, always, always, sampler='active', drawn=chosen))
     assert (found.satisfied.pairs, found.uncounted, found.unpaired) == (100, 100, 0)
     assert any(line.startswith('In no figure: 100 more scenes that both were run in')
-               for line in compared_sentences(found))
+               for line in compared_report(found).summary)

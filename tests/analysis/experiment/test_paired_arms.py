@@ -20,7 +20,6 @@ from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates, pai
 from taxinet_ros.analysis.experiment.report import (
     experiment_json,
     experiment_report,
-    experiment_sentences,
     range_words,
     title_of,
 )
@@ -168,7 +167,7 @@ def test_given_runs_that_were_stopped_then_what_is_not_known_of_them_is_in_no_ra
     assert one.satisfied.pairs == 3
     assert one.off_runway == PairedRates(both=0, only_first=0, only_second=1, neither=1)
     assert one.settled == PairedRates(both=0, only_first=0, only_second=1, neither=1)
-    words = ' '.join(experiment_sentences(arms))
+    words = ' '.join(experiment_report(arms).sentences)
     assert 'In 1 pairs a run was stopped before it was known' in words
     lines = experiment_report(arms).sections[0].tables[0].rows
     assert [line[4] for line in lines] == [1, None]
@@ -182,7 +181,7 @@ def test_given_runs_that_were_stopped_then_what_is_not_known_of_them_is_in_no_ra
 def test_given_a_formula_then_its_robustness_has_its_own_unit(formula, unit, axis):
     asked = dataclasses.replace(ASKED, specs=(f'own={formula}',))
     arms = dataclasses.replace(worse(), experiment=asked)
-    words = ' '.join(experiment_sentences(arms))
+    words = ' '.join(experiment_report(arms).sentences)
     assert f'rho typically changes by +1.50{unit} (95' in words
     figure = Figure()
     experiment_report(arms).sections[1].pictures[0].draw(figure, LIGHT)
@@ -240,14 +239,14 @@ def test_given_two_arms_then_pairs_are_counted_by_scene():
 
 
 def test_given_a_clear_difference_then_it_is_said_and_otherwise_not():
-    words = ' '.join(experiment_sentences(worse()))
+    words = ' '.join(experiment_report(worse()).sentences)
     assert words.startswith('Clearly more runs are satisfied in off than in on.')
     assert 'Of 12 scenes 4 satisfy phi_eventually in on (33 %) and 12 in off (100 %)' in words
     assert '+66.7 points (95 % interval' in words
     assert '8 are satisfied in off only, 0 in on only' in words
-    equal = ' '.join(experiment_sentences(found([1.0, -1.0], [1.0, -1.0])))
+    equal = ' '.join(experiment_report(found([1.0, -1.0], [1.0, -1.0])).sentences)
     assert equal.startswith('No difference between on and off is proven.')
-    shifted = ' '.join(experiment_sentences(found([0.5] * 9, [1.0] * 9)))
+    shifted = ' '.join(experiment_report(found([0.5] * 9, [1.0] * 9)).sentences)
     assert shifted.startswith('Rho is greater in off than in on, but how many')
 
 
@@ -277,7 +276,7 @@ def test_given_many_arms_without_an_effect_then_one_is_clear_in_five_per_cent_of
         assert all(one.satisfied_p >= one.satisfied.p_value for one in many.comparisons)
     assert told / 30 <= 0.12
     assert raw / 30 > 0.15, 'else the test could not tell'
-    assert 'after Holm over 8 arms' in ' '.join(experiment_sentences(many))
+    assert 'after Holm over 8 arms' in ' '.join(experiment_report(many).sentences)
 
 
 def test_given_runs_that_were_not_judged_then_their_scenes_are_in_no_pair():
@@ -285,9 +284,9 @@ def test_given_runs_that_were_not_judged_then_their_scenes_are_in_no_pair():
     (one,) = some.comparisons
     assert (len(one.pairs), one.unpaired) == (1, 2)
     assert 'Runs of on without verdict, whose scenes are excluded: 1 INFRA_ERROR (1 died).' in [
-        *experiment_sentences(some)]
+        *experiment_report(some).sentences]
     nothing = found([None], [None])
-    assert 'no conclusion is possible' in ' '.join(experiment_sentences(nothing))
+    assert 'no conclusion is possible' in ' '.join(experiment_report(nothing).sentences)
 
 
 def test_given_files_of_this_machine_then_the_page_has_their_names_only():

@@ -4,11 +4,14 @@ import itertools
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.analysis.explain.explain import error_words, misled_words, outcome_words
+from taxinet_ros.analysis.explain.explain import error_words, misled_words
+from taxinet_ros.analysis.explain.report import TEXT
 from taxinet_ros.analysis.explain.track import APART_NS, Track, choose_rows
+from taxinet_ros.analysis.report.text import sentences
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.place.catalogue import default_runway
@@ -87,7 +90,11 @@ def test_given_errors_then_words_tell_the_side():
     assert misled_words(math.nan) == 'no estimate, so the aircraft brakes'
 
 
-def test_of_a_run_that_passed_it_is_not_asked_whether_it_failed():
-    assert outcome_words('PASS') == ', and the run passed'
-    assert outcome_words('FAIL').startswith(': the run failed, but')
-    assert outcome_words('').startswith(': if the run failed')
+@pytest.mark.parametrize(('outcome', 'end'), [
+    ('PASS', ', and the run passed.'),
+    ('FAIL', ': the run failed, but the network is probably not the reason.'),
+    ('', ': if the run failed, the network is probably not the reason.'),
+])
+def test_of_a_run_that_passed_it_is_not_asked_whether_it_failed(outcome, end):
+    (said,) = sentences(TEXT, 'hardly', misled_deg=1.84, outcome=outcome)
+    assert said.endswith(f'by 1.8° at most{end}')

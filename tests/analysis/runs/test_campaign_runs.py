@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planted_runs import planted_runs, planted_table, record_facts
 
-from taxinet_ros.analysis.campaign.report import rate_sentences
+from taxinet_ros.analysis.campaign.report import TEXT
+from taxinet_ros.analysis.report.text import sentences
 from taxinet_ros.analysis.runs.campaign import (
     GroupRate,
     Weighting,
@@ -24,6 +25,10 @@ from taxinet_ros.analysis.runs.campaign import (
 from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import rate
+
+
+def said_of(runs):
+    return sentences(TEXT, 'rates', runs=runs)
 
 
 def table(runs=60, **columns):
@@ -85,7 +90,7 @@ def test_given_a_search_without_draws_then_there_is_no_rate(sampler, tmp_path):
         assert unknown.rate().rate == (frame['outcome'] == 'FAIL').mean()
         assert math.isnan(unknown.rate().low)
         assert 'of the runs made' in unknown.rate().words()
-        assert 'This search yields no failure rate' in rate_sentences(unknown)[0]
+        assert 'This search yields no failure rate' in said_of(unknown)[0]
 
 
 def test_given_a_group_in_which_nothing_was_drawn_then_it_has_no_interval():
@@ -119,7 +124,7 @@ def test_given_undecided_runs_then_there_are_bounds_and_no_rate(tmp_path):
     assert runs.bounds == (rate(0, 200).low, rate(100, 200).high)
     assert math.isnan(runs.rate().low)
     assert runs.off_runway() is None, 'half of the runs were stopped before it was known'
-    words = rate_sentences(runs)[0]
+    words = said_of(runs)[0]
     assert 'no failure rate of it' in words
     assert f'at most {100 * rate(100, 200).high:.1f} %' in words
     headline = planted_runs(frame, tmp_path)
@@ -136,13 +141,13 @@ def test_given_an_interrupted_campaign_then_runs_after_a_gap_do_not_count(tmp_pa
     assert (runs.weighting, runs.anytime, runs.uncounted) == (Weighting.DRAWN, True, 8)
     failures = int((frame['outcome'] == 'FAIL')[:50].sum())
     assert runs.rate()[2:5] == rate(failures, 50, anytime=True)
-    assert 'chosen by' not in rate_sentences(runs)[0]
+    assert 'chosen by' not in said_of(runs)[0]
     assert any('8 of the runs are in no rate' in line for line in runs.warnings)
     frame[frame['index'] > 0].to_parquet(tmp_path / 'runs.parquet')
     first = read_runs(runs.path)
     assert (first.weighting, first.uncounted, first.bounds) == (Weighting.UNKNOWN, 57, (0.0, 1.0))
     assert math.isnan(first.rate().low)
-    words = rate_sentences(first)[0]
+    words = said_of(first)[0]
     assert 'follow one without a result' in words
     assert 'sampler' not in words
 
@@ -172,7 +177,7 @@ def test_given_another_number_of_runs_than_planned_then_the_intervals_hold_at_an
         runs = read_runs(runs.path)
         assert runs.anytime is anytime
         assert runs.rate()[2:5] == rate(failures, 60, anytime=anytime)
-        assert ('not fixed beforehand' in rate_sentences(runs)[0]) is anytime
+        assert ('not fixed beforehand' in said_of(runs)[0]) is anytime
 
 
 @given(st.integers(0, 40), st.integers(0, 40), st.integers(1, 40), st.integers(1, 40))
@@ -256,7 +261,7 @@ def test_people2_given_a_campaign_with_warnings_when_read_then_summary_and_json_
     facts = {'warnings': ['gentle: no run can violate it']}
     runs = dataclasses.replace(planted_runs(table(20), tmp_path), facts=facts)
     assert runs.warnings == ('gentle: no run can violate it',)
-    assert 'Warning: gentle: no run can violate it.' in rate_sentences(runs)
+    assert 'Warning: gentle: no run can violate it.' in said_of(runs)
 
 
 def test_ros10_given_runs_that_passed_blind_when_read_then_summary_and_json_count_them(tmp_path):
@@ -268,7 +273,7 @@ def test_ros10_given_runs_that_passed_blind_when_read_then_summary_and_json_coun
     frame.loc[[*passed[:2], failed[0]], 'unusable_estimates'] = 250
     runs = planted_runs(frame, tmp_path)
     assert runs.blind == 2
-    assert rate_sentences(runs)[-1] == (
+    assert said_of(runs)[-1] == (
         'Warning: 2 runs passed with more than 5 % of their frames without a usable estimate.'
     )
     assert planted_runs(frame.drop(columns=['steps']), tmp_path).blind == 0

@@ -114,7 +114,7 @@ def test_given_json_when_asked_then_only_that_is_printed(folder, monkeypatch, ca
     from taxinet_ros.analysis.campaign import folder as analysis_folder
     from taxinet_ros.analysis.report import page as report_page
 
-    monkeypatch.setattr(analysis_folder, 'write_png', lambda *_: None)
+    monkeypatch.setattr(analysis_folder, 'write_pictures', lambda *_: [])
     monkeypatch.setattr(report_page, 'write_report_page', lambda *_, **__: None)
     monkeypatch.chdir(folder)
     monkeypatch.setenv(HEARTBEAT, '1e-9')

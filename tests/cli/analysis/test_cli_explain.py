@@ -3,7 +3,6 @@
 import dataclasses
 import json
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,7 +18,6 @@ from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest
-from taxinet_ros.core.world import SimulatedWorld
 
 pytestmark = pytest.mark.ros
 
@@ -62,20 +60,6 @@ def bags(tmp_path_factory):
     return out
 
 
-@pytest.fixture(scope='module')
-def dataset(tmp_path_factory):
-    """Six photographs at noon, with labels."""
-    folder = tmp_path_factory.mktemp('data')
-    lines = ['image,cte_m,heading_error_deg']
-    for number in range(6):
-        scene = Scenario(cross_track_m=number - 3.0, distance_m=500.0 + number)
-        image = SimulatedWorld(scene).observe().image
-        assert cv2.imwrite(str(folder / f'{number}.png'), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-        lines.append(f'{number}.png,{number - 3.0},0')
-    (folder / 'labels.csv').write_text('\n'.join(lines) + '\n')
-    return folder
-
-
 @pytest.mark.nightly
 def test_given_a_run_with_faults_in_wind_then_it_is_explained_by_runs_without_each(
     taxinet, tmp_path
@@ -98,17 +82,16 @@ def test_given_a_run_with_faults_in_wind_then_it_is_explained_by_runs_without_ea
         'camera_freeze_s', 'lens_drops_percent', 'faults',
     ]
     assert 'Driven again without the drops on the lens, the run ' in out
-    assert 'The same run otherwise' in (tmp_path / 'x' / 'explain.html').read_text()
+    page = (tmp_path / 'x' / 'explain.html').read_text()
+    assert 'Driven again without the drops on the lens' in page
 
 
 def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_page(
-    bags, dataset, taxinet, tmp_path
+    bags, taxinet, tmp_path
 ):
-    code, out, err = taxinet(
-        'explain', bags / 'original', '--dataset', dataset, '--frames', 1, '--out', 'x')
+    code, out, err = taxinet('explain', bags / 'original', '--frames', 1, '--out', 'x')
     assert (code, err) == (0, '')
     assert 'All estimates are equal to the recorded ones, bit for bit.' in out
-    assert 'out of distribution' in out
     assert out.rstrip().endswith('page: x/explain.html')
     found = json.loads((tmp_path / 'x' / 'explain.json').read_text())
     assert found['recomputed'] == {'cte_m': 0.0, 'he_rad': 0.0, 'equal': True}
@@ -122,8 +105,6 @@ def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_pa
     assert moment['misled_rad'] == pytest.approx(misled[row])
     assert moment['estimate']['cte_m'] == trace['est_cte_m'][row]
     assert moment['truth']['he_rad'] == trace['he_rad'][row]
-    assert moment['nearest']['out_of_distribution']
-    assert len(moment['nearest']['by_picture']) == 3
     assert [factor['name'] for factor in found['factors']] == [
         'shadow', 'crossing', 'rain', 'overcast', 'clear', 'ten', 'easy']
     assert found['reruns'] == []
@@ -131,9 +112,7 @@ def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_pa
     assert found['blamed'] in ('rain', 'overcast', 'clear')
     names = {path.name for path in (tmp_path / 'x').iterdir()}
     assert {'explain.html', 'explain.json', 'explain-errors.png', 'explain-factors.png',
-            f'explain-scenes-{row:04d}.png', f'explain-patches-{row:04d}.png',
-            f'explain-nearest-{row:04d}.png'} <= names
-    assert 'The nearest training images' in (tmp_path / 'x' / 'explain.html').read_text()
+            f'explain-scenes-{row:04d}.png', f'explain-patches-{row:04d}.png'} <= names
 
 
 @pytest.mark.nightly
@@ -178,7 +157,6 @@ def test_given_a_run_that_cannot_be_driven_again_then_its_frames_are_asked_or_on
     ((), 'was run with ground truth, not a network; name one with --perception'),
     (('--perception', 'truth'), 'uses no camera image; name a network'),
     (('--perception', 'taxinett'), "perception: 'taxinett' is unknown"),
-    (('--perception', 'taxinet', '--dataset', 'nowhere'), 'nowhere: no such folder'),
     (('--perception', 'taxinet', '--frames', '0'), 'frames'),
 ])
 def test_given_what_cannot_be_done_then_one_line(bags, taxinet, words, complaint, tmp_path):

@@ -63,7 +63,7 @@ def test_given_a_shrunk_run_then_there_are_bags_a_table_numbers_and_a_picture(fo
     assert {key for key, one in found['parameters'].items() if one['matters']} == {'cross_track_m'}
     assert (out / 'shrink.png').read_bytes().startswith(b'\x89PNG')
     page = (out / 'shrink.html').read_text()
-    assert 'What matters: cross_track_m.' in page
+    assert 'start offset, left of the centreline +2.1 m alone is enough to violate' in page
     assert 'id="worst"' in page, 'the shrunk run is on the first screen'
 
 

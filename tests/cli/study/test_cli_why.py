@@ -12,9 +12,12 @@ from recorded_runs import record_runs
 
 import taxinet_ros as tx
 from taxinet_ros.analysis.report import pictures as picture_files
+from taxinet_ros.analysis.report.text import sentences
+from taxinet_ros.analysis.search.shrinking import TEXT
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.perception.weights import SHIPPED, card_path
+from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import SimulatedWorld
@@ -23,7 +26,6 @@ from taxinet_ros.study.stages.stage import with_engine
 from taxinet_ros.study.why.investigation import (
     Investigation,
     kind_of,
-    shrink_sentences,
     unsatisfiable,
     violated_at_start,
 )
@@ -235,17 +237,30 @@ def test_a_run_is_violated_at_its_start_only_if_nothing_after_it_could_help(
 
 
 def test_what_shrinking_found_is_told_in_sentences():
+    def said_of(values):
+        return sentences(TEXT, 'summary', values=values, fields=BY_KEY)
+
     def parameter(original, nominal, shrunk, **values):
         return {'original': original, 'nominal': nominal, 'shrunk': shrunk, 'matters': False,
-                'passes_at': None, **values}
+                'passes_at': None, 'rho_in_original': 1.0, **values}
 
     values = {'end': 'minimal', 'spec': 'phi', 'parameters': {
         'rain_percent': parameter(90.0, 0.0, 13.0, matters=True, passes_at=12.0),
         'cross_track_m': parameter(3.0, 0.0, 0.0),
     }}
-    assert shrink_sentences(values) == (
+    assert said_of(values) == (
         'Shrunk to what matters, rain 13 % alone is enough to violate phi; everything else is '
         'nominal.', 'Rain: 13 % fails, 12 % passes.',
     )
-    (plainest,) = shrink_sentences({**values, 'end': 'nominal fails'})
+    (plainest,) = said_of({**values, 'end': 'nominal fails'})
     assert 'look at camera, place or network' in plainest
+    rain = {**values['parameters']['rain_percent'], 'rho_in_original': -0.1}
+    two = {**values, 'parameters': {'rain_percent': rain}}
+    assert said_of(two)[-1].startswith('Rain: the original fails without it too')
+    unknown = {'rain_percent': {**rain, 'matters': None}}
+    (spent,) = said_of({**two, 'end': 'spent', 'parameters': unknown})
+    assert spent.startswith('Shrinking ended before it was minimal')
+    assert said_of({**two, 'end': 'interrupted', 'parameters': unknown}) == (
+        'Which parameters matter is not known yet.',)
+    (nothing,) = said_of({**two, 'parameters': {'rain_percent': {**rain, 'matters': False}}})
+    assert nothing.startswith('No single parameter matters')

@@ -15,7 +15,6 @@ from taxinet_ros.analysis.experiment.arms import paired_arms
 from taxinet_ros.analysis.experiment.report import (
     experiment_json,
     experiment_report,
-    experiment_sentences,
 )
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.cli.main import main
@@ -166,7 +165,7 @@ def test_given_five_outcomes_in_an_arm_then_its_report_counts_them_and_pairs_non
     assert len(found.comparisons[0].pairs) == JUDGED
     counted = UNJUDGED.replace('2 REJECTED', '').rstrip(', ')
     words = 'Runs of after without verdict, whose scenes are excluded: 2 REJECTED, ' + counted
-    assert f'{words}.' in [*experiment_sentences(found)]
+    assert f'{words}.' in [*experiment_report(found).sentences]
     write_report_page(experiment_report(found), tmp_path / 'page.html')
     assert words in (tmp_path / 'page.html').read_text()
     arm = experiment_json(found)['arms']['after']

@@ -17,9 +17,14 @@ from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.report.claim import Verdict
 from taxinet_ros.study.report.paper import judge_claims
-from taxinet_ros.study.report.report import gather_findings, study_values, write_study_report
+from taxinet_ros.study.report.report import (
+    StudyFindings,
+    gather_findings,
+    study_report,
+    study_values,
+    write_study_report,
+)
 from taxinet_ros.study.report.results import read_results
-from taxinet_ros.study.report.sections import StudyFindings, study_sections
 from taxinet_ros.study.stages.config import study_of
 from taxinet_ros.study.stages.plan import campaign_of
 from taxinet_ros.study.stages.record import read_options
@@ -173,7 +178,7 @@ def test_given_a_report_then_it_tells_what_is_done_and_what_it_cost(study):
 
 def test_given_a_campaign_under_way_then_the_report_says_which_and_how_far(found):
     more = dataclasses.replace(found, config=dataclasses.replace(found.config, runs=RUNS + 1))
-    done, under_way = (study_sections(one)[0].sentences for one in (found, more))
+    done, under_way = (study_report(one).sections[0].sentences for one in (found, more))
     assert not any('Not all runs' in sentence for sentence in done)
     assert under_way[0] == 'Not all runs are done yet: ' + ', '.join(
         f'{name} {RUNS:,} of {RUNS + 1:,}' for name in FAILING
@@ -182,7 +187,7 @@ def test_given_a_campaign_under_way_then_the_report_says_which_and_how_far(found
 
 def test_given_a_study_when_read_again_then_every_figure_and_picture_is_the_same(study, found):
     assert study_values(found) == values(study)
-    (picture,) = study_sections(found)[0].pictures
+    (picture,) = study_report(found).sections[0].pictures
     assert png_bytes(picture, LIGHT) == (study / 'report' / 'networks.png').read_bytes()
 
 

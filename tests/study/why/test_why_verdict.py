@@ -179,14 +179,14 @@ def test_given_pictures_that_train_cannot_render_then_that_is_said(world, words,
     found = evidence(
         blames=Blames(network=4), causes=(WET,), settings=replace(SETTINGS, world=world))
     (action,) = todo(found)
-    assert words in action.words
+    assert words in action.sentences[0]
     assert action.commands == (() if command is None else (command,))
 
 
 def test_given_no_bag_of_a_failed_run_then_no_picture_along_its_path_is_suggested():
     first = todo(evidence(blames=Blames(network=4), causes=(WET,)), kept_bags=False)[0]
     assert '--add-runs' not in first.commands[0]
-    assert 'bags of the failed runs are gone' in first.words
+    assert 'bags of the failed runs are gone' in first.sentences[0]
 
 
 def test_given_the_controllers_fault_then_no_training_is_suggested():

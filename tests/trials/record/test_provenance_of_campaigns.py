@@ -7,10 +7,11 @@ from pathlib import Path
 import falsify_samples as toy
 import pytest
 
-from taxinet_ros.analysis.campaign.report import stack_sentences
-from taxinet_ros.analysis.runs.campaign import read_runs
+from taxinet_ros.analysis.campaign.report import TEXT
+from taxinet_ros.analysis.report.text import sentences
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
 from taxinet_ros.cli.main import _exit_code, app
-from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.provenance import differences, provenance
 from taxinet_ros.study.stages.record import StageRecord, stack_warning
 from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.record import facts as facts_module
@@ -19,6 +20,11 @@ from taxinet_ros.trials.record.facts import STACKS, recorded_stacks, this_stack
 from taxinet_ros.trials.record.table import read_table
 
 ELSEWHERE = {**provenance(), 'processor': 'Another One', 'numpy': '0.1'}
+
+
+def said_of(campaigns: list[CampaignRuns]) -> tuple[str, ...]:
+    different = differences(*(stack for one in campaigns for stack in one.stacks))
+    return sentences(TEXT, 'stacks', campaigns=campaigns, different=different)
 
 
 @pytest.fixture(autouse=True)
@@ -69,14 +75,14 @@ def test_provenance_of_tables_that_are_held_together_is_compared(tmp_path, elsew
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
     toy.finish(toy.options(tmp_path / 'here'))
     here, there = read_runs(tmp_path / 'here'), read_runs(tmp_path / 'there')
-    assert stack_sentences([here]) == stack_sentences([here, here]) == ()
-    (sentence,) = stack_sentences([here, there])
+    assert said_of([here]) == said_of([here, here]) == ()
+    (sentence,) = said_of([here, there])
     assert f'processor {provenance()["processor"]} | Another One' in sentence
     table = read_table(tmp_path / 'here')
     table.attrs = {}
     table.to_parquet(tmp_path / 'old.parquet')
     old = read_runs(tmp_path / 'old.parquet')
-    assert 'Machine and versions are unknown' in stack_sentences([here, old])[0]
+    assert 'Machine and versions are unknown' in said_of([here, old])[0]
 
 
 def test_provenance_of_several_sittings_is_a_note_of_the_gate(tmp_path, monkeypatch, capsys):

@@ -1,0 +1,173 @@
+"""The text of an analysis, written in a template beside it, for the terminal and the page alike.
+
+A template is plain text. A paragraph is a sentence of the report; those before the first section
+are its summary. Some lines have a meaning of their own::
+
+    # title
+    - name: value           a fact, left out if it has no value
+    ## name: heading        a section, left out if nothing is in it
+    $ command
+    [words](path)           a link to another page
+
+Nothing in it is markup: the page escapes all text.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+
+from taxinet_ros.analysis.report.parts import Link, Picture, Report, Section, Table
+from taxinet_ros.trials.rates import count_words
+
+_SECTION = re.compile(r'## ([\w-]+): (.+)')
+_FACT = re.compile(r'- (.+?):\s*(.*)')
+_LINK = re.compile(r'\[(.+)\]\((.+)\)')
+_MARKS = ('# ', '## ', '- ', '$ ', '[')
+
+
+def sentences(path: Path, block: str, **values: Any) -> tuple[str, ...]:
+    """The sentences of one block of a template.
+
+    Args:
+        path: the template.
+        block: name of the block.
+        values: values of its names.
+    """
+    template = _template(path)
+    text = ''.join(template.blocks[block](template.new_context(values)))
+    return tuple(_paragraphs(text))
+
+
+def fill_report(
+    template: Path, values: Mapping[str, Any],
+    figures: Mapping[str, Sequence[Picture | Table]], **more: Any,
+) -> Report:
+    """A report from a template.
+
+    Args:
+        template: the template.
+        values: values of its names; a name without one is an error.
+        figures: pictures and tables of the sections, by their names.
+        more: what of the :class:`Report` is not text: its runs and their names.
+    """
+    title, facts = '', {}
+    summary, *parts = _split(_template(template).render(values))
+    for line in summary.lines:
+        if line.startswith('# '):
+            title = line[2:]
+        elif found := _FACT.fullmatch(line):
+            facts[found[1]] = found[2]
+    sections = [_section(part, figures.get(part.name, ())) for part in parts]
+    if lost := figures.keys() - {section.name for section in sections}:
+        raise ValueError(f'{template.name}: no section {", ".join(sorted(lost))}')
+    return Report(
+        title=title, facts={name: value for name, value in facts.items() if value},
+        summary=tuple(summary.sentences),
+        sections=tuple(section for section in sections if _shown(section)), **more,
+    )
+
+
+@dataclass(slots=True)
+class _Part:
+    """A section's text: its sentences, and the lines with a meaning of their own."""
+
+    name: str
+    heading: str
+    sentences: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+
+
+def _split(text: str) -> list[_Part]:
+    """The parts of a text, the summary first."""
+    parts = [_Part('', '')]
+    for paragraph in _paragraphs(text):
+        if found := _SECTION.fullmatch(paragraph):
+            parts.append(_Part(found[1], found[2]))
+        elif paragraph.startswith(_MARKS):
+            parts[-1].lines.append(paragraph)
+        else:
+            parts[-1].sentences.append(paragraph)
+    return parts
+
+
+def _section(part: _Part, figures: Sequence[Picture | Table]) -> Section:
+    links = [found for line in part.lines if (found := _LINK.fullmatch(line))]
+    return Section(
+        name=part.name, heading=part.heading, sentences=tuple(part.sentences),
+        commands=tuple(line[2:] for line in part.lines if line.startswith('$ ')),
+        links=tuple(Link(words=found[1], path=found[2]) for found in links),
+        pictures=tuple(one for one in figures if isinstance(one, Picture)),
+        tables=tuple(one for one in figures if isinstance(one, Table)),
+    )
+
+
+def _shown(section: Section) -> bool:
+    return bool(
+        section.sentences or section.commands or section.links or section.pictures
+        or any(table.rows for table in section.tables)
+    )
+
+
+def _paragraphs(text: str) -> Iterator[str]:
+    """Paragraphs, each on one line; lines with a meaning of their own are not joined."""
+    lines: list[str] = []
+    for line in [*text.splitlines(), '']:
+        marked = line.startswith(_MARKS)
+        if lines and (marked or not line.strip()):
+            yield ' '.join(' '.join(lines).split())
+            lines = []
+        if marked:
+            yield line.strip()
+        elif line.strip():
+            lines.append(line)
+
+
+def _template(path: Path) -> Template:
+    return environment(path.parent).get_template(path.name)
+
+
+@functools.cache
+def environment(folder: Path) -> Environment:
+    """Jinja for the plain text of a folder's templates, with the filters for numbers."""
+    found = Environment(
+        loader=FileSystemLoader(folder), undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, autoescape=False,  # plain text, no markup
+    )
+    found.tests['known'] = lambda value: value is not None and math.isfinite(value)
+    found.filters |= {
+        'count': lambda number: f'{number:,}',
+        'many': lambda number, noun: f'{number:,} {noun}{"" if number == 1 else "s"}',
+        'percent': lambda share, digits=1: f'{decimals(100 * share, digits)} %',
+        'points': lambda share, digits=1: decimals(100 * share, digits, sign='+'),
+        'decimals': decimals,
+        'counts': count_words,
+        'signed': lambda value, digits=2: decimals(value, digits, sign='+'),
+        'p': p_words,
+        'file_name': _file_name,
+        'capital': lambda text: text[:1].upper() + text[1:],
+    }
+    return found
+
+
+def _file_name(word: str) -> str:
+    """A word, or the name of its file: where that lies on this machine says nothing elsewhere."""
+    path = Path(word)
+    return path.name if path.is_absolute() else word
+
+
+def p_words(value: float) -> str:
+    """Display text of a p value."""
+    return 'p < 0.001' if value < 0.001 else f'p = {value:.3f}'
+
+
+def decimals(value: float, digits: int, sign: str = '') -> str:
+    """A number with some decimals and a true minus."""
+    return f'{value:{sign}.{digits}f}'.replace('-', '−')
