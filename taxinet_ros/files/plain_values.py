@@ -11,7 +11,7 @@ import json
 import reprlib
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, cast
 
 import yaml
 
@@ -132,8 +132,8 @@ def _load(text: str, *, aliases: bool) -> Any:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         elif isinstance(event, yaml.AliasEvent) and not aliases:
-            problem = 'an alias (*) is not read; write it out'
-            raise yaml.constructor.ConstructorError(None, None, problem, event.start_mark)
+            problem, mark = 'an alias (*) is not read; write it out', cast(Any, event.start_mark)
+            raise yaml.constructor.ConstructorError(None, None, problem, mark)
     return yaml.load(text, Loader=_Loader)
 
 
