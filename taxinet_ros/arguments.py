@@ -149,34 +149,21 @@ _OF_FIELDS: dict[str, tuple[Kind, type]] = {
 }
 
 
-def takes(
-    _elsewhere: Mapping[str, str] = {}, /, **kinds: Kind
-) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function to check the kinds of its arguments.
-
-    Args:
-        _elsewhere: unsupported arguments, and the alternative for each.
-        kinds: kind of each parameter.
-    """
+def takes(**kinds: Kind) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Decorate a function to check the kinds of its arguments, given for each parameter."""
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
-        known = [name for name in signature.parameters if name != 'self']
-        assert set(kinds) <= set(known), 'a parameter is gone'
+        assert set(kinds) <= set(signature.parameters), 'a parameter is gone'
 
         @functools.wraps(function)
         def call(*args: P.args, **given: P.kwargs) -> T:
-            name = function.__name__
-            for extra in given:
-                if extra not in known:
-                    why = _elsewhere.get(extra, f'unknown; it takes {", ".join(known)}')
-                    raise UsageError(f'{name}: {extra}: {why}')
             try:
-                bound = signature.bind(*args, **given)
-            except TypeError as error:
-                raise UsageError(f'{name}: {error}; it takes {", ".join(known)}') from None
-            for parameter, value in bound.arguments.items():
-                if parameter in kinds:
-                    kinds[parameter].check(parameter, value)
+                arguments = signature.bind(*args, **given).arguments
+            except TypeError:  # which Python words best
+                return function(*args, **given)
+            for parameter, kind in kinds.items():
+                if parameter in arguments:
+                    kind.check(parameter, arguments[parameter])
             return function(*args, **given)
 
         return call

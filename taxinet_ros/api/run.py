@@ -109,10 +109,6 @@ _POSE = Kind(
     else isinstance(pose, tuple | list | np.ndarray) and len(pose) == 3
     and all(map(FINITE.has, pose)),
 )
-_NEEDS_GRAPH: Mapping[str, str] = MappingProxyType(dict.fromkeys(
-    ('free', 'real_time_factor', 'participants', 'foxglove', 'processes'),
-    'needs the graph of nodes; type taxinet run',
-))
 Frame = NDArray[np.uint8]
 Look = Callable[[Any], Any]
 """A frame, (200, 360, 3) uint8 RGB, in; ``(cte_m, he_rad)`` or None out. With an attribute
@@ -336,8 +332,7 @@ def load_perception(word_or_file: str) -> Perception:
 
 
 @takes(
-    _NEEDS_GRAPH, scenario=_SCENARIO, stop_on=WORD, bounds=TEXTS, rates=TEXTS, latency=TEXTS,
-    world=WORD,
+    scenario=_SCENARIO, stop_on=WORD, bounds=TEXTS, rates=TEXTS, latency=TEXTS, world=WORD,
 )
 @says_parameters
 def run(

@@ -11,7 +11,7 @@ import json
 import reprlib
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, cast
 
 import yaml
 
@@ -19,9 +19,9 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.reading import read_file
 
 MAX_DEPTH = 100
-"""Limit of nested brackets; PyYAML takes seconds for a thousand."""
+"""Limit of nested lists and mappings in YAML."""
 MAX_BYTES = 1 << 20
-"""Size limit of user files: YAML takes 1 s for about ten thousand characters."""
+"""Size limit of user files."""
 MAX_CHARS = 2**22
 """Size limit of texts in bags."""
 YAML_TROUBLES = (
@@ -57,9 +57,7 @@ def load_yaml(text: str, *, aliases: bool = True) -> Any:
     if len(text) > MAX_CHARS:
         raise ValueError(f'{len(text)} characters, more than the {MAX_CHARS} allowed')
     try:
-        _check_brackets(text)
-        _check_events(text, aliases=aliases)
-        return yaml.load(text, Loader=_BagLoader)
+        return _load(text, aliases=aliases)
     except YAML_TROUBLES as error:
         raise ValueError(f'not YAML of plain values: {text[:60]!r}') from error
 
@@ -109,9 +107,7 @@ def parse_yaml(path: Path, data: bytes, *, about: str = '', mend: str = '') -> o
         UsageError: it is not YAML of plain values, or repeats a key.
     """
     try:
-        text = data.decode('utf-8-sig')
-        _check_brackets(text)
-        return yaml.load(text, Loader=_FileLoader)
+        return _load(data.decode('utf-8-sig'), aliases=False)
     except UnicodeDecodeError:
         raise UsageError(f'{about}{path}: is not text in UTF-8; write it as YAML') from None
     except yaml.MarkedYAMLError as error:
@@ -125,21 +121,10 @@ def parse_yaml(path: Path, data: bytes, *, about: str = '', mend: str = '') -> o
         raise UsageError(f'{about}{path}: is not YAML: {text}') from None
 
 
-def _check_brackets(text: str) -> None:
-    depth = 0
-    for sign in text:
-        if sign in '[{':
-            depth += 1
-            if depth > MAX_DEPTH:
-                raise ValueError('nested too deeply')
-        elif sign in ']}':
-            depth = max(depth - 1, 0)
-
-
-def _check_events(text: str, *, aliases: bool) -> None:
+def _load(text: str, *, aliases: bool) -> Any:
     """Look through the text before it is composed: of deep blocks libyaml overflows the stack."""
     depth = 0
-    for event in yaml.parse(text, Loader=_BagLoader):
+    for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth > MAX_DEPTH:
@@ -147,13 +132,17 @@ def _check_events(text: str, *, aliases: bool) -> None:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         elif isinstance(event, yaml.AliasEvent) and not aliases:
-            raise ValueError('an alias')
+            problem, mark = 'an alias (*) is not read; write it out', cast(Any, event.start_mark)
+            raise yaml.constructor.ConstructorError(None, None, problem, mark)
+    return yaml.load(text, Loader=_Loader)
 
 
-class _StrictLoader:
-    """Refuses mappings that grow when parsed, or of whose values YAML would drop some."""
+# mypy cannot know the type of a base class chosen at run time.
+class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
+    """Refuses mappings that grow when parsed, or of whose values YAML would drop some.
 
-    repeats: bool
+    libyaml, if available, takes a tenth of the time.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Return the mapping; reject repeated keys, of which YAML would keep the last."""
@@ -162,33 +151,14 @@ class _StrictLoader:
             word = key.value if isinstance(key, yaml.ScalarNode) else None
             if key.tag == 'tag:yaml.org,2002:merge':  # nested merges double with every line
                 problem = 'a merge key (<<) is not read; write it out'
-            elif word is not None and word in seen and not self.repeats:
+            elif word is not None and word in seen:
                 problem = f'{word[:60]} is given twice'
             else:
                 seen.add(word)
                 continue
             raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-        return super().construct_mapping(node, deep)  # type: ignore[misc]  # of the loader beside
-
-
-class _FileLoader(_StrictLoader, yaml.SafeLoader):
-    """Loader of what people write: the pure one, whose complaints say what it expected."""
-
-    repeats = False
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Return the next node; reject aliases."""
-        if self.check_event(yaml.AliasEvent):
-            problem = 'an alias (*) is not read; write it out'
-            raise yaml.constructor.ConstructorError(None, None, problem, self.get_mark())
-        return super().compose_node(parent, index)
-
-
-# mypy cannot know the type of a base class chosen at run time.
-class _BagLoader(_StrictLoader, getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
-    """Loader of what programs write; libyaml, if available, takes a quarter of the time."""
-
-    repeats = True
+        mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
+        return mapping
 
 
 class Section:
@@ -372,51 +342,3 @@ def is_number(value: object, low: float, high: float | None = None) -> TypeGuard
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return low <= value < float('inf') if high is None else low <= value <= high
-
-
-_OPTIONAL = ' | None'
-_MOST = 2**63
-"""Limit of whole numbers; tables cannot hold larger ones."""
-
-
-def check_kind(name: str, kind: str, value: object) -> None:
-    """Check the type of a value.
-
-    Args:
-        name: name of the field, for the message.
-        kind: text of the field's annotation: ``str``, ``int``, ``float`` (whole numbers too),
-            ``bool``, one of these ``| None``, or ``Mapping[str, float]``; others are not checked.
-        value: value from JSON.
-
-    Raises:
-        ValueError: it has another type.
-    """
-    if not _fits(kind, value):
-        raise ValueError(f'{name} is {str(value)[:40]!r}, not {kind}')
-
-
-def _fits(kind: str, value: object) -> bool:
-    if kind.endswith(_OPTIONAL):
-        return value is None or _fits(kind.removesuffix(_OPTIONAL), value)
-    if kind == 'Mapping[str, float]':
-        return isinstance(value, dict) and all(
-            _fits('str', name) and _fits('float', number) for name, number in value.items()
-        )
-    if kind == 'str':
-        return isinstance(value, str) and _is_text(value)
-    if kind == 'bool':
-        return isinstance(value, bool)
-    if kind == 'float' and isinstance(value, float):
-        return True
-    if kind in ('int', 'float'):
-        return isinstance(value, int) and not isinstance(value, bool) and -_MOST <= value < _MOST
-    return True
-
-
-def _is_text(value: str) -> bool:
-    """Whether it can be encoded; JSON may escape lone surrogates, which no file can store."""
-    try:
-        value.encode()
-    except UnicodeEncodeError:
-        return False
-    return True

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -16,12 +16,8 @@ from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.samplers.space import Branch, Dimension, Point, Space, make_space
 
-_PLACE = ('file', 'line', 'column', 'end_line', 'end_column')
-_PIECE = ('start', 'end', 'low', 'high')
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Place:
+class Place(NamedTuple):
     """The call that makes a choice, in the program's text.
 
     Attributes:
@@ -37,8 +33,7 @@ class Place:
     end_column: int
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Piece:
+class Piece(NamedTuple):
     """An interval of quantiles over which a choice's value is linear.
 
     Attributes:
@@ -145,8 +140,8 @@ class Choice:
         feeds: scenario keys that depend on it, and ``requirements`` if a scene's acceptance does.
         place: its call in the program; None if unknown.
         pieces: its inverse distribution function if piecewise linear, else empty.
-        law: otherwise its distribution, if it is a numeric Scenic distribution.
         options: the options of a discrete choice if they are plain values, else empty.
+        law: its distribution if numeric and not piecewise linear.
     """
 
     dimension: Dimension
@@ -158,7 +153,7 @@ class Choice:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Parse the Scenic child's description; accepts old ones with keys without units."""
+        """Parse the Scenic child's description; keys may be in their short forms."""
         place = values['place']
         dimension = values['dimension']
         when = (Branch(parent, tuple(categories))
@@ -168,25 +163,15 @@ class Choice:
                 **{**dimension, 'weights': tuple(dimension['weights']), 'when': tuple(when)}
             ),
             feeds=frozenset(SHORT_FORMS.get(key, key) for key in values['feeds']),
-            place=Place(**dict(zip(_PLACE, place, strict=True))) if place else None,
-            pieces=tuple(
-                Piece(**dict(zip(_PIECE, piece, strict=True))) for piece in values['pieces']
-            ),
+            place=Place(*place) if place else None,
+            pieces=tuple(Piece(*piece) for piece in values['pieces']),
             options=tuple(values['options'] or ()),
             law=Law(**values['law']) if values.get('law') else None,
         )
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; the inverse of :meth:`from_json` if the options are plain."""
-        place = self.place
-        return {
-            'dimension': dataclasses.asdict(self.dimension),
-            'feeds': sorted(self.feeds),
-            'place': [getattr(place, name) for name in _PLACE] if place else None,
-            'pieces': [[getattr(piece, name) for name in _PIECE] for piece in self.pieces],
-            'options': list(self.options),
-            'law': None if self.law is None else dataclasses.asdict(self.law),
-        }
+        return {**dataclasses.asdict(self), 'feeds': sorted(self.feeds)}
 
     def value(self, quantile: float) -> float | None:
         """The value at a quantile; None if unknown."""

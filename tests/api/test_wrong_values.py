@@ -58,7 +58,7 @@ CALLS = {
     'fork': (tx.fork, {'run': RUN, 'at_s': 0.1}),
     'Run.fork': (RUN.fork, {'at_s': 0.1}),
     'Run.save_bag': (RUN.save_bag, {'path': 'saved'}),
-    'Recording.judge': (RECORDING.judge, {}),
+    'Recording.judge': (RECORDING.judge, {'spec': 'phi_always'}),
     'Recording.table': (RECORDING.table, {}),
 }
 MADE_FOR_YOU = {'Campaign', 'Counterexample', 'Recording', 'Run', 'Spec'}
@@ -101,9 +101,6 @@ def test_given_every_name_of_the_package_then_it_is_among_those_tried():
 
 @pytest.mark.parametrize(('call', 'words'), [
     (lambda: tx.run(None), 'scenario: got None; expected a tx.Scenario'),
-    (lambda: tx.run('phi_always', SHORT), 'run: too many positional arguments'),
-    (lambda: tx.run(SHORT, free=True), 'run: free: needs the graph of nodes; type taxinet run'),
-    (lambda: tx.run(SHORT, spec='phi_always'), 'run: spec: unknown; it takes scenario, perception'),
     (lambda: tx.run(SHORT, bounds='cte'), "bound 'cte': expected SIGNAL="),
     (lambda: tx.run(SHORT, perception=lambda frame: (True, False)), 'perception: answered (True'),
     (lambda: tx.robustness('x <= 1', RUN.trace.assign(x=0.0)),
@@ -127,6 +124,16 @@ def test_given_a_wrong_kind_then_the_line_names_the_parameter_and_both(call, wor
     with pytest.raises(tx.UsageError) as caught:
         call()
     assert str(caught.value).startswith(words)
+
+
+@pytest.mark.parametrize(('call', 'words'), [
+    (lambda: tx.run('phi_always', SHORT), 'takes 1 positional argument'),
+    (lambda: tx.run(SHORT, free=True), "unexpected keyword argument 'free'"),
+    (lambda: tx.open_recording(), "missing 1 required positional argument: 'path'"),
+])
+def test_given_arguments_that_a_function_does_not_have_then_python_says_so(call, words):
+    with pytest.raises(TypeError, match=words):
+        call()
 
 
 def test_given_an_object_of_ones_own_then_its_methods_answer():

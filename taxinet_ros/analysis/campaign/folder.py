@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 from collections.abc import Callable
@@ -110,7 +111,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
 
 
 def _region(region: Region) -> list[dict[str, Any]]:
-    return [part.to_json() for part in region.parts]
+    return [dataclasses.asdict(part) for part in region.parts]
 
 
 def _rate(rate: GroupRate | FoundRate) -> dict[str, Any]:

@@ -136,7 +136,7 @@ def _best_halves(part: Either, frame: pd.DataFrame) -> Either:
               - 2 * both)
     ratio = _ratio(within, inside, failed)
     first, second = np.unravel_index(int(ratio.argmax()), ratio.shape)
-    return Either(first=firsts[first], second=seconds[second])
+    return Either(either=(firsts[first], seconds[second]))
 
 
 def _halves(name: str, frame: pd.DataFrame) -> Iterator[Interval | Kinds]:
@@ -163,10 +163,10 @@ def _ratio(failures: npt.NDArray[Any], inside: npt.NDArray[Any], failed: Mask) -
 
 def _rounded(part: Part, frame: pd.DataFrame) -> Part:
     if isinstance(part, Either):
-        first, second = (_rounded(each, frame) for each in (part.first, part.second))
+        first, second = (_rounded(each, frame) for each in part.either)
         assert isinstance(first, Interval | Kinds)
         assert isinstance(second, Interval | Kinds)
-        return Either(first=first, second=second)
+        return Either(either=(first, second))
     if isinstance(part, Kinds):
         return part
     feature = BY_NAME[part.feature]

@@ -319,7 +319,7 @@ def _value(name: str) -> str:
 
 def _condition(part: Part) -> str:
     if isinstance(part, Either):
-        return f'({_condition(part.first)}) != ({_condition(part.second)})'
+        return ' != '.join(f'({_condition(each)})' for each in part.either)
     if isinstance(part, Kinds):
         kinds = tuple(_SWITCHES.get(kind, kind) for kind in part.kinds)
         return f'{_value(part.feature)} in {kinds!r}'

@@ -106,10 +106,6 @@ class Interval:
         """Features that it restricts."""
         return (self.feature,)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :func:`part_of`."""
-        return {'feature': self.feature, 'low': self.low, 'high': self.high}
-
     def words(self) -> str:
         """Display text."""
         feature = BY_NAME[self.feature]
@@ -135,10 +131,6 @@ class Kinds:
     def mask(self, frame: pd.DataFrame) -> Mask:
         """Mask of the runs that have one of them."""
         return np.isin(frame[self.feature].to_numpy(dtype=object), self.kinds)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :func:`part_of`."""
-        return {'feature': self.feature, 'kinds': list(self.kinds)}
 
     def words(self) -> str:
         """Display text."""
@@ -181,11 +173,6 @@ class Slant:
         high = np.inf if self.high is None else self.high
         return (values >= low) & (values <= high)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :func:`part_of`."""
-        return {'feature': self.feature, 'other': self.other, 'factor': self.factor,
-                'low': self.low, 'high': self.high}
-
     def words(self) -> str:
         """Display text."""
         first, other = (BY_NAME[name].axis for name in self.names)
@@ -202,41 +189,38 @@ class Slant:
 class Either:
     """Exclusive or of two parts that restrict different features."""
 
-    first: Interval | Kinds
-    second: Interval | Kinds
+    either: tuple[Interval | Kinds, Interval | Kinds]
 
     @property
     def feature(self) -> str:
         """The first feature that it restricts."""
-        return self.first.feature
+        return self.either[0].feature
 
     @property
     def names(self) -> tuple[str, ...]:
         """Features that it restricts."""
-        return (self.first.feature, self.second.feature)
+        return (self.either[0].feature, self.either[1].feature)
 
     def mask(self, frame: pd.DataFrame) -> Mask:
         """Mask of the runs within."""
-        return self.first.mask(frame) ^ self.second.mask(frame)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :func:`part_of`."""
-        return {'either': [self.first.to_json(), self.second.to_json()]}
+        first, second = self.either
+        return first.mask(frame) ^ second.mask(frame)
 
     def words(self) -> str:
         """Display text."""
-        return f'either {self.first.words()}, or {self.second.words()}, not both'
+        first, second = self.either
+        return f'either {first.words()}, or {second.words()}, not both'
 
 Part = Interval | Kinds | Slant | Either
 
 
 def part_of(values: Mapping[str, Any]) -> Part:
-    """The part with these ``to_json`` values."""
+    """The part with these values, as :func:`dataclasses.asdict` gives them."""
     if 'either' in values:
         first, second = (part_of(each) for each in values['either'])
         assert isinstance(first, Interval | Kinds)
         assert isinstance(second, Interval | Kinds)
-        return Either(first=first, second=second)
+        return Either(either=(first, second))
     if 'kinds' in values:
         return Kinds(feature=values['feature'], kinds=tuple(values['kinds']))
     return Slant(**values) if 'factor' in values else Interval(**values)

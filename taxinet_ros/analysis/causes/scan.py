@@ -261,7 +261,7 @@ class _Block:
         parts = one.chosen(halves[0][first]), other.chosen(cells)
         assert not isinstance(parts[0], Slant)
         assert not isinstance(parts[1], Slant)
-        return Region(parts=(Either(first=parts[0], second=parts[1]),))
+        return Region(parts=(Either(either=(parts[0], parts[1])),))
 
 
 class Scan:

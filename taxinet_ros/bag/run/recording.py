@@ -25,7 +25,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from taxinet_ros.arguments import FLAG, TEXT, WHOLE, Kind, takes
+from taxinet_ros.arguments import FLAG, NONE, TEXT, WHOLE, Kind, takes
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.reader import BagInfo, read_contents, records, stored_messages
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.scenario import Scenario
 
 _SPEC = Kind('a tx.Spec', lambda value: bool(value.formula and value.name))
+_ASSUMPTIONS = Kind('Assumptions', lambda value: callable(value.about))
 
 _HEAD_OF_A_PICTURE = 64
 """Bytes kept of an image; they contain its stamp."""
@@ -466,7 +467,7 @@ class Recording(Sequence['Recording']):
             self.choose(None)
         return found[0]
 
-    @takes(spec=TEXT | _SPEC)
+    @takes(spec=TEXT | _SPEC, assumptions=NONE | _ASSUMPTIONS)
     def judge(self, spec: Spec | str, assumptions: Assumptions | None = None) -> SpecVerdict:
         """Judge the run by any requirement.
 

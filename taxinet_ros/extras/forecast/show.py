@@ -17,6 +17,7 @@ from rich.console import Console
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
+from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.cli.bag.input import readable_bags
 from taxinet_ros.cli.progress import stage_bars
@@ -36,7 +37,6 @@ from taxinet_ros.extras.forecast.forecast import (
 )
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
-from taxinet_ros.trials.rates import Rate
 from taxinet_ros.trials.record.facts import is_campaign
 
 NO_GUARANTEE = 'no guarantee'
@@ -105,15 +105,11 @@ def check_forecast(
 
 
 def _coverage_json(one: Coverage) -> dict[str, Any]:
-    def plain(found: Rate) -> dict[str, float | None]:
-        return {
-            name: None if math.isnan(value) else value for name, value in found._asdict().items()
-        }
-
     return {
-        'confidence': one.confidence, 'held': plain(one.held),
-        'held_if_violated': plain(one.held_if_failed), 'cleared_s': one.cleared_s,
-        'wrongly_cleared': plain(one.wrongly_cleared),
+        'confidence': one.confidence, 'held': plain_values(one.held._asdict()),
+        'held_if_violated': plain_values(one.held_if_failed._asdict()),
+        'cleared_s': one.cleared_s,
+        'wrongly_cleared': plain_values(one.wrongly_cleared._asdict()),
     }
 
 
@@ -200,20 +196,17 @@ def _ending(final: float | None) -> str:
 def _run_json(
     recording: Recording, bounds: Sequence[Bound], confidence: float, outside: Sequence[str],
 ) -> dict[str, Any]:
-    def plain(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
-    return {
+    return plain_values({
         'run_id': recording.run_id, 'confidence': None if outside else confidence,
         'outside': list(outside),
         't_s': bounds[-1].t_s,
-        'lower': plain(bounds[-1].lower), 'certain_lower': plain(bounds[-1].certain_lower),
-        'certain_upper': plain(bounds[-1].certain_upper),
+        'lower': bounds[-1].lower, 'certain_lower': bounds[-1].certain_lower,
+        'certain_upper': bounds[-1].certain_upper,
         'bounds': [
-            {'t_s': one.t_s, 'lower': plain(one.lower), 'certain_upper': plain(one.certain_upper)}
+            {'t_s': one.t_s, 'lower': one.lower, 'certain_upper': one.certain_upper}
             for one in bounds
         ],
-    }
+    })
 
 
 # Picture ----------------------------------------------------------------------------------------

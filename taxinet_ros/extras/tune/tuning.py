@@ -26,6 +26,7 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_rates,
     paired_shift,
 )
+from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
@@ -456,7 +457,7 @@ def _key(gains: Gains, scene: Scene) -> str:
 
 def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
     """Plain values of a result."""
-    return {
+    return plain_values({
         'program': options.learning.source, 'perception': options.perception,
         'spec': options.system.judging.headline, 'seed': options.seed,
         'varied': {one.name: [one.low, one.high] for one in options.varied},
@@ -467,16 +468,12 @@ def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
             'scenes': len(tuned.before), 'unjudged': list(tuned.unjudged),
             'satisfied_before': tuned.satisfied.first, 'satisfied_after': tuned.satisfied.second,
             'only_before': tuned.satisfied.only_first, 'only_after': tuned.satisfied.only_second,
-            'p_value': _plain(tuned.satisfied.p_value),
+            'p_value': tuned.satisfied.p_value,
             'worst_before': min(tuned.before.values(), default=None),
             'worst_after': min(tuned.after.values(), default=None),
-            'rho_change': [_plain(value) for value in tuned.rho.change],
+            'rho_change': tuned.rho.change,
         },
-    }
-
-
-def _plain(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    })
 
 
 def _candidate_json(one: Candidate) -> dict[str, Any]:

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -18,7 +17,6 @@ from scipy.stats import norm
 
 from taxinet_ros.analysis.causes.region import Interval, Kinds, Region, interval_cells
 from taxinet_ros.analysis.experiment.arms import ArmComparison, compare_arms
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.features import (
     CLOUDS_KIND,
     CROSS_TRACK,
@@ -79,10 +77,6 @@ class Decision:
     off_now: int
     satisfied_low: float
     worse: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values, with None for missing numbers."""
-        return plain_values(asdict(self))
 
 
 def decide(

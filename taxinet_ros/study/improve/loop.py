@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.causes.region import Region, part_of
+from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.perception.weights import card_path, load_model
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import make_atomically
@@ -61,13 +62,9 @@ class Round:
     decision: Decision | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values for the record."""
-        return {
-            'round': self.number, 'incumbent': self.incumbent, 'searched': self.searched,
-            'failed': self.failed, 'causes': list(self.causes), 'clusters': list(self.clusters),
-            'candidate': self.candidate,
-            'decision': None if self.decision is None else self.decision.to_json(),
-        }
+        """Plain values for the record, with None for numbers that are not finite."""
+        values = plain_values(asdict(self))
+        return {'round': values.pop('number'), **values}
 
 
 def improve_network(

@@ -6,7 +6,9 @@ A cause's program draws scenes of the cause, and nothing else.
 from __future__ import annotations
 
 import itertools
+import json
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -426,8 +428,8 @@ FACTS = {'runs': 40, 'specs': {'phi': 'always((abs(cte) <= 8))'}}
 PARTS = (
     Slant(feature='cross_track_m', other='heading_deg', factor=-0.27, low=1.0, high=None),
     Kinds(feature='clouds', kinds=('overcast', 'stratus')),
-    Either(first=Interval(feature='time_of_day_h', low=None, high=9.0),
-           second=Interval(feature='distance_m', low=1000.0, high=None)),
+    Either(either=(Interval(feature='time_of_day_h', low=None, high=9.0),
+                   Interval(feature='distance_m', low=1000.0, high=None))),
 )
 
 
@@ -648,4 +650,5 @@ def test_given_files_of_ones_own_that_go_then_a_causes_program_has_them_beside_i
 
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():
-    assert tuple(part_of(part.to_json()) for part in PARTS) == PARTS
+    values = json.loads(json.dumps([asdict(part) for part in PARTS]))
+    assert tuple(map(part_of, values)) == PARTS

@@ -177,7 +177,7 @@ HOSTILE: list[tuple[bytes, str]] = [
     (b'\xff\xfe\x00', 'is not text in UTF-8'),
     (b'just words',
      "expected KEY: VALUE pairs with the keys input, scaling, outputs, domain, got 'just words'"),
-    (b'input: [', 'line 1, column '),
+    (b'input: [', 'line 2, column 1: '),
     (b'input: 1\ninput: 2', 'line 2, column 1: input is given twice'),
     (b'input: !!python/object/apply:os.system [ls]', 'could not determine a constructor'),
     (b'? [1, 2]\n: 3', 'line 1, column 3: found unhashable key'),
@@ -186,8 +186,8 @@ HOSTILE: list[tuple[bytes, str]] = [
     (b'[' * 9000, 'is not YAML: '),
     (b'input: ' + b'9' * 9000, 'is not YAML: '),
     (b'input: 0x' + b'f' * 9000, 'input: expected KEY: VALUE pairs with the keys name, '),
-    (b'input: &a [*a]', 'line 1, column 15: an alias (*) is not read; write it out'),
-    (BOMB, 'line 2, column 11: an alias (*) is not read; write it out'),
+    (b'input: &a [*a]', 'line 1, column 12: an alias (*) is not read; write it out'),
+    (BOMB, 'line 2, column 8: an alias (*) is not read; write it out'),
     (b'input: &a [[[[1]]]]', 'got [[[...]]]'),
 ]
 

@@ -11,6 +11,7 @@ from taxinet_ros.analysis.causes.region import Interval, Region
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.study.improve.acceptance import _bound, _score, decide
+from taxinet_ros.study.improve.loop import Round
 from taxinet_ros.trials.record.row import RunRow
 
 pytestmark = pytest.mark.nightly
@@ -49,7 +50,9 @@ def test_given_failures_then_the_decision_is_by_mcnemar_s_test(before, now, expe
     made = decide(rows(*before), rows(*now), ALPHA)
     assert {name: getattr(made, name) for name in expected} == expected
     assert made.why.startswith(why)
-    assert made.to_json()['rho_change'] == (made.rho_change if made.pairs else None)
+    done = Round(number=1, incumbent='', searched=8, failed=8, decision=made).to_json()
+    assert done['round'] == 1
+    assert done['decision']['rho_change'] == (made.rho_change if made.pairs else None)
 
 
 def test_given_as_many_failures_and_a_better_robustness_then_it_is_accepted():
