@@ -186,6 +186,9 @@ FromOption = Annotated[
         "compare",
     ),
 ]
+BagArgument = Annotated[
+    Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
+]
 RunOption = Annotated[
     str | None,
     typer.Option('--run', metavar='RUN_ID', help='which run, if the bag holds several'),
@@ -261,6 +264,16 @@ SetOption = Annotated[
         help='fix a scenario value (clouds=clear, time_of_day_h=9.5, heading_deg=-20, '
         'duration_s=10, …) or a gain (steering.heading_gain=1.2), with its unit or another (9:30, '
         '30 %, 1.2 km, 10 deg); repeatable',
+        autocompletion=complete_setting,
+    ),
+]
+ScenarioOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        '--set', metavar='KEY=VALUE',
+        help='a scenario value (cross_track_m=-3, heading_deg=10, distance_m=900, '
+        'time_of_day_h=16, clouds=broken, rain_percent=50, shadows=off, date=2020-06-21, …); '
+        'repeatable',
         autocompletion=complete_setting,
     ),
 ]

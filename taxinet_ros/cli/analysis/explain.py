@@ -5,31 +5,23 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-import pandas as pd
+import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.explain.explain import Explanation, explain, explain_sentences
-from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingImages
-from taxinet_ros.analysis.explain.report import explain_json, explain_report
-from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.cli.bag.input import perception_of, readable_bags
-from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.perception.network import shrink
-from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.core.renderer import ChosenRenderer, find_renderer
-from taxinet_ros.core.scenario_fields import SHORT_FORMS
-from taxinet_ros.core.world import world_and_camera
+from taxinet_ros.cli.options import JsonOption, RunOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.registry import KMWH
-from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
-from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from taxinet_ros.analysis.explain.explain import Explanation
+    from taxinet_ros.analysis.explain.nearest_images import NearestImages
+    from taxinet_ros.bag.run.facts import RecordedRun
+    from taxinet_ros.core.renderer import ChosenRenderer
+    from taxinet_ros.training.data.image_folder import ImageFolder
 
 JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
 
@@ -40,57 +32,69 @@ _THREADS = 2
 _SCENE = ('time_of_day_h', 'clouds', 'rain_percent')
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExplainOptions:
-    """Options of ``taxinet explain``.
+def explain(
+    bag: Annotated[
+        Path, typer.Argument(metavar='BAG', help='folder of a run, usually a counterexample')
+    ],
+    run_id: RunOption = None,
+    perception: Annotated[
+        str | None,
+        typer.Option(metavar='WORD|FILE', help="network to examine (default: the run's)"),
+    ] = None,
+    dataset: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help='training images to compare the frames with'),
+    ] = None,
+    frames: Annotated[
+        int,
+        typer.Option(
+            min=1, max=20, help='maximum number of frames to examine: the worst ones and the first'
+        ),
+    ] = 4,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar='NAME|FILE',
+            help="the run's camera, if that is not ours: asked for pictures of the changed scenes "
+            '(default: they are not changed)',
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help='output folder for page and images; must be new')
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Explain why the network failed in one run.
 
-    Attributes:
-        bag: a run folder or an ``.mcap`` file.
-        perception: word or file; None: the run's own.
-        dataset: folder of training images, or None.
-        frames: maximum number of moments to examine.
-        camera: who takes pictures of the modified scenes, the run's camera; None: ours does, and
-            those of another camera are not modified.
-        out: new folder for page and images; None: one below ``bags/``.
-        as_json: print the JSON instead of the summary.
+    Shows where its estimates are wrong; what it would estimate at the worst moments without shadow,
+    crossing or rain, under another sky and at another hour; which image region the estimate depends
+    on; and the nearest training images.
     """
+    from taxinet_ros.analysis.explain.explain import explain, explain_sentences
+    from taxinet_ros.analysis.explain.report import explain_json
+    from taxinet_ros.cli.bag.input import readable_run
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.core.perception.perception import make_perception
+    from taxinet_ros.training.data.image_folder import open_folder
+    from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
-    recording: Recording
-    perception: str | None
-    dataset: Path | None
-    frames: int
-    camera: str | None
-    out: Path | None
-    as_json: bool
-
-
-def run_explain(options: ExplainOptions) -> int:
-    """Examine the run, write page, images and JSON, and print the summary.
-
-    Returns:
-        Exit code: 0.
-
-    Raises:
-        UsageError: bad input.
-        InfraError: the camera failed.
-    """
-    console = Console(highlight=False, stderr=options.as_json)
-    with readable_bags():
-        run = options.recording.run
-        word = _network(run, options.perception)
-        renderer = _renderer(run, options.camera)
-        out = options.out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
+    console = Console(highlight=False, stderr=as_json)
+    with readable_run(bag, run_id) as recording:
+        run = recording.run
+        word = _network(run, perception)
+        renderer = _renderer(run, camera)
+        out = out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
         check_new(out)
-        folder = None if options.dataset is None else open_folder(options.dataset)
+        folder = None if dataset is None else open_folder(dataset)
         with stage_bars(console) as show:
             training = None if folder is None else _training(folder, show)
             found = explain(
-                options.recording, make_perception(word), frames=options.frames,
-                training=training, on_progress=show, renderer=renderer,
+                recording, make_perception(word), frames=frames, training=training,
+                on_progress=show, renderer=renderer,
             )
     _make(out)
     written = _write(found, out)
-    if options.as_json:
+    if as_json:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
         return ExitCode.OK
     console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
@@ -102,6 +106,8 @@ def run_explain(options: ExplainOptions) -> int:
 
 def _network(run: RecordedRun, asked: str | None) -> str:
     """Word or file of the network to examine; by default the run's own, if available."""
+    from taxinet_ros.cli.bag.input import perception_of
+
     name = run.request.run_id
     if asked == 'truth':
         raise UsageError('--perception truth: uses no camera image; name a network')
@@ -119,6 +125,10 @@ def _network(run: RecordedRun, asked: str | None) -> str:
 
 def _renderer(run: RecordedRun, asked: str | None) -> ChosenRenderer | None:
     """The camera that is asked for pictures of modified scenes; None for ours."""
+    from taxinet_ros.core.renderer import find_renderer
+    from taxinet_ros.core.world import world_and_camera
+    from taxinet_ros.registry import KMWH
+
     _, camera = world_and_camera(run.world or KMWH)
     if asked is None:
         return None
@@ -136,6 +146,13 @@ def _renderer(run: RecordedRun, asked: str | None) -> ChosenRenderer | None:
 
 def _training(folder: ImageFolder, show: Callable[[str, int, int], None]) -> NearestImages:
     """Load evenly spaced images of a data set, preprocessed as network input."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    import numpy as np
+
+    from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingImages
+    from taxinet_ros.core.perception.network import shrink
+
     total = len(folder)
     if total < 2:
         raise UsageError(f'--dataset {folder.path}: holds {total} image; needs two or more')
@@ -156,6 +173,10 @@ def _training(folder: ImageFolder, show: Callable[[str, int, int], None]) -> Nea
 
 def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
     """Labels of rows, and further scene values from the table."""
+    import pandas as pd
+
+    from taxinet_ros.core.scenario_fields import SHORT_FORMS
+
     frames = [folder.frames[row] for row in rows]
     scenes = pd.DataFrame({
         'image': [frame.image for frame in frames],
@@ -172,6 +193,8 @@ def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
 
 
 def _make(out: Path) -> None:
+    from taxinet_ros.files.atomic import make_folder
+
     try:
         make_folder(out)
     except OSError as error:
@@ -180,8 +203,10 @@ def _make(out: Path) -> None:
 
 def _write(found: Explanation, out: Path) -> Path:
     """Write images, JSON and page; return the page's path."""
+    from taxinet_ros.analysis.explain.report import explain_json, explain_report
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.files.atomic import write_atomically
 
     report = explain_report(found)
     for section in report.sections:

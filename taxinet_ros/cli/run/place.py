@@ -5,17 +5,24 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from taxinet_ros.analysis.camera.place_map import plot_place
-from taxinet_ros.cli.training.camera import new_picture, write_picture
-from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place
-from taxinet_ros.core.place.place import Place
-from taxinet_ros.core.place.runway import SURFACES
+import typer
+
+from taxinet_ros.cli.help import command_group
+from taxinet_ros.cli.options import AptDatOption, PictureOption, RunwayOption, airport_place
+
+if TYPE_CHECKING:
+    from taxinet_ros.core.place.place import Place
+
+place_app = command_group('Places where runs take place.')
 
 
-def print_places() -> None:
-    """Print a line for each shipped place."""
+@place_app.command('list')
+def list_places() -> None:
+    """List the shipped places."""
+    from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place
+
     for name in SHIPPED_PLACES:
         place = find_place(name)
         runway = place.runway
@@ -27,17 +34,30 @@ def print_places() -> None:
         )
 
 
-def show_place(word: str, out: Path | None) -> None:
-    """Describe a place and draw it.
+@place_app.command('show')
+def show_place(
+    place: Annotated[
+        str,
+        typer.Argument(
+            metavar='PLACE', help='shipped name, YAML file, or ICAO code with --runway'
+        ),
+    ],
+    runway: RunwayOption = None,
+    apt_dat: AptDatOption = None,
+    out: PictureOption = None,
+) -> None:
+    """Describe a place, and draw it from above: runway, markings, pavements, taxi routes."""
+    from taxinet_ros.analysis.camera.place_map import plot_place
+    from taxinet_ros.cli.training.pictures import new_picture, write_picture
+    from taxinet_ros.core.place.catalogue import typed_place
 
-    Raises:
-        UsageError: there is no such place, or the picture cannot be written.
-    """
-    place = typed_place(word)
-    path = new_picture(out, f'place-{place.name}')
-    for label, text in _lines(place):
+    if runway is not None or apt_dat is not None:
+        place = airport_place(place, runway, apt_dat)
+    found = typed_place(place)
+    path = new_picture(out, f'place-{found.name}')
+    for label, text in _lines(found):
         print(f'{label:<12}{text}')
-    write_picture(path, lambda: plot_place(place, path))
+    write_picture(path, lambda: plot_place(found, path))
     print(f'picture: {path}')
 
 
@@ -87,8 +107,8 @@ def _lines(place: Place) -> Iterator[tuple[str, str]]:
 
 
 def _unseen(place: Place) -> str:
-    # Imported here because it loads libraries that few commands need.
     from taxinet_ros.core.camera.ground.taxiway import LINES
+    from taxinet_ros.core.place.runway import SURFACES
 
     words = [
         f'{number} lines of type {style}'
