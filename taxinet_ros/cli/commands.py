@@ -128,8 +128,11 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'training.camera:camera_app',
             'Render camera frames, and compare them with labelled images.',
         ),
-        'place': ('run.place:place_app', 'Places where runs take place.'),
-        'aircraft': ('training.aircraft:aircraft_app', 'Aircraft that taxi.'),
+        'place': ('run.place:place', 'Describe a place, and draw it from above, or list all.'),
+        'aircraft': (
+            'training.aircraft:aircraft',
+            'Load an aircraft, measure it, say what is wrong, and draw it, or list all.',
+        ),
         'flightgear': ('', 'FlightGear as a camera: start it, and see whether it works.'),
         'xplane': ('', 'X-Plane as camera and as world.'),
     },

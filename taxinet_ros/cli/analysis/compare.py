@@ -13,17 +13,15 @@ from rich.console import Console
 
 from taxinet_ros.cli.options import (
     BoundOption,
-    CameraOption,
     ControllerOption,
     JsonOption,
     LatencyOption,
     ProcessesCountOption,
     RateOption,
     SetOption,
+    WorldCameraOption,
     WorldOption,
     given_among,
-    renderer_of,
-    scene_settings,
 )
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -70,7 +68,7 @@ def compare(
     settings: SetOption = None,
     controller: ControllerOption = 'steering',
     world: WorldOption = 'kmwh',
-    camera: CameraOption = None,
+    camera: WorldCameraOption = None,
     latency: LatencyOption = None,
     bound: BoundOption = None,
     rate: RateOption = None,
@@ -121,11 +119,10 @@ def compare(
         if not (Path(scenes).is_dir() or scenes.endswith('.parquet')):
             shared = _scenes_of_program(make_options(
                 program=scenes, runs=100 if runs is None else runs, seed=seed or 0,
-                perception=before, specs=spec or (), bounds=bound or (), rates=rate or (),
-                settings=scene_settings(settings, None, None, None, None, camera),
-                controller=controller, latency=latency or (),
-                world=world_word(world, renderer_of(camera)),
-                out=out, processes=False, resume=True, engine=LOOP,
+                perception=before, settings=settings or (), specs=spec or (), bounds=bound or (),
+                rates=rate or (), controller=controller, latency=latency or (),
+                world=world_word(world, camera), out=out, processes=False, resume=True,
+                engine=LOOP,
             ))
         else:
             shared = _scenes_of_runs(scenes, runs, of_program)

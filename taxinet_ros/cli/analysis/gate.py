@@ -105,8 +105,8 @@ def gate(
     ] = 'report',
     junit: Annotated[
         Path | None, typer.Option(
-            metavar='FILE', writable=True, dir_okay=False, help='JUnit XML file to write, one test '
-            'case per criterion; the table of the runs is written beside it'
+            metavar='FILE.xml', writable=True, dir_okay=False, help='JUnit XML file to write, one '
+            'test case per criterion; the table of the runs is written beside it'
         )
     ] = None,
     out: Annotated[
@@ -224,7 +224,7 @@ def _check_junit(junit: Path, inputs: Sequence[Path]) -> None:
     if not junit.parent.is_dir():
         raise UsageError(f'--junit {junit}: no such folder: {junit.parent}')
     beside = _beside(junit)
-    check_output(f'--junit {junit}: {beside}', beside, inputs=inputs, own=beside.suffix)
+    check_output(f'--junit {junit}: {beside}', beside, inputs=inputs, own=['.parquet'])
 
 
 def _write_documents(judged: _Judged, junit: Path) -> None:
@@ -234,7 +234,8 @@ def _write_documents(judged: _Judged, junit: Path) -> None:
 
     texts = rerun_documents(judged.rows, judged.facts)
     for name in texts:
-        check_output(f'--junit {junit}: {junit.parent / name}', junit.parent / name)
+        path = junit.parent / name
+        check_output(f'--junit {junit}: {path}', path, own=[path.suffix])
     for name, text in texts.items():
         write_atomically(junit.parent / name, text)
 

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from taxinet_ros.cli.options import CampaignArgument, JsonOption, ProcessesCountOption
-from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.errors import ExitCode
 
 if TYPE_CHECKING:
     from taxinet_ros.analysis.fault_localisation import Localisation
@@ -41,9 +41,6 @@ def localize(
     perception: Annotated[
         str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
     ] = None,
-    engine: Annotated[
-        str, typer.Option(help='loop; every unchanged rerun is compared with the recorded run')
-    ] = 'loop',
     as_json: JsonOption = False,
 ) -> int:
     """Find which part causes failures: network or controller.
@@ -52,15 +49,9 @@ def localize(
     its heading error only and of its cross-track error only. After an interrupt, the same command
     continues.
     """
-    from taxinet_ros.trials.options import LOOP
     from taxinet_ros.trials.past_runs.localisation import make_localize_options
     from taxinet_ros.trials.record.facts import missing_packages_named
 
-    if engine != LOOP:
-        raise UsageError(
-            f'--engine {engine}: localize reruns in the {LOOP} only; no node of a graph has a '
-            'part of the truth'
-        )
     with missing_packages_named(campaign):
         options = make_localize_options(
             campaign, runs=runs, words=substitutions or (), workers=workers, out=out,

@@ -108,8 +108,7 @@ def doctor(
     """Check this machine, or every file in a results folder.
 
     Without a folder: Python, compiler, packages, ROS, messages, domain, discovery, memory, limits,
-    disk, browser, FlightGear and a short run, each with its mend; exit code 4 if something is
-    broken.
+    disk and a short run, each with its mend; exit code 4 if something is broken.
 
     With a folder: checks every record, each bag against its row and each dataset image against its
     label, makes tables again that do not say what their record says, and finds leftovers of killed

@@ -61,7 +61,7 @@ def check_node(
     log: Annotated[
         Path | None,
         typer.Option(
-            metavar='FILE', writable=True, dir_okay=False, help="file for the node's output"
+            metavar='FILE.log', writable=True, dir_okay=False, help="file for the node's output"
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -10,13 +10,9 @@ import typer
 
 from taxinet_ros.cli.completion import complete_experiment, complete_perception
 from taxinet_ros.cli.options import (
-    AircraftOption,
-    AirportOption,
-    AptDatOption,
     AuditOption,
     BoundOption,
     BudgetOption,
-    CameraOption,
     ClusterOption,
     ControllerCommandOption,
     ControllerOption,
@@ -51,7 +47,6 @@ from taxinet_ros.cli.options import (
     RunImagesOption,
     RunOption,
     RunsOption,
-    RunwayOption,
     SamplerOption,
     SamplerSettingOption,
     ScenarioArgument,
@@ -62,12 +57,11 @@ from taxinet_ros.cli.options import (
     StopOnOption,
     UntilOption,
     WorkersOption,
+    WorldCameraOption,
     WorldOption,
     controller_of,
     ended,
     given_options,
-    renderer_of,
-    scene_settings,
     word_of,
 )
 
@@ -88,11 +82,7 @@ def run(
     fallback: FallbackOption = None,
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: WorldCameraOption = None,
     spec: SpecOption = None,
     out: OutOption = None,
     processes: ProcessesOption = False,
@@ -136,12 +126,12 @@ def run(
         raise UsageError(f'--foxglove: not with --engine {LOOP}, which has no topics')
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-        settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+        settings=settings or (),
         specs=spec or (), out=out, processes=processes,
         images=images or ('all' if runs == 1 else 'failures'), stop_on=stop_on,
         bounds=bound or (), rates=rate or (), controller=controller_of(context),
         latency=latency or (), free=free, real_time_factor=real_time_factor,
-        world=world_word(world, renderer_of(camera)),
+        world=world_word(world, camera),
         engine=engine, audit=audit,
     )
     raise ended(
@@ -198,11 +188,7 @@ def falsify(
     fallback: FallbackOption = None,
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: WorldCameraOption = None,
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
@@ -211,7 +197,6 @@ def falsify(
     bound: BoundOption = None,
     rate: RateOption = None,
     latency: LatencyOption = None,
-    free: FreeOption = False,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
     quiet: QuietOption = False,
@@ -226,26 +211,19 @@ def falsify(
     """
     _start_scenic()
     from taxinet_ros.cli.run.search import run_falsify
-    from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
     from taxinet_ros.core.world import world_word
-    from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search_options import make_search_options
 
-    if free:
-        raise UsageError(
-            f'--free: not in a search, which needs reproducible verdicts, and {NOT_REPRODUCIBLE}; '
-            'use taxinet run --runs N --free, or search with --latency'
-        )
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-            settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+            settings=settings or (),
             specs=spec or (), out=out, processes=False, images=images, resume=resume,
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
             controller=controller_of(context), latency=latency or (),
-            world=world_word(world, renderer_of(camera)),
+            world=world_word(world, camera),
             engine=engine, audit=audit,
         )
         options = make_search_options(
@@ -258,7 +236,6 @@ def falsify(
 
 def estimate(
     scenario: ScenarioArgument,
-    target_error: Annotated[float | None, typer.Option(hidden=True)] = None,
     down_to: Annotated[
         float,
         typer.Option(metavar='PROBABILITY', help='least probability that the runs suffice for'),
@@ -278,11 +255,7 @@ def estimate(
     controller: ControllerOption = 'steering',
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: WorldCameraOption = None,
     spec: SpecOption = None,
     images: ImagesOption = 'none',
     bound: BoundOption = None,
@@ -303,24 +276,17 @@ def estimate(
     _start_scenic()
     from taxinet_ros.cli.run.estimate import run_estimate
     from taxinet_ros.core.world import world_word
-    from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search_options import make_estimate_options
 
-    if target_error is not None:
-        raise UsageError(
-            '--target-error: is no option any more, as intervals of estimates that stop where '
-            'islands agree are too narrow; leave it out, and choose --runs'
-        )
-
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=perception,
-            settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+            settings=settings or (),
             specs=spec or (), out=out, processes=False, images=images, resume=resume,
             bounds=bound or (), rates=rate or (), controller=controller,
-            latency=latency or (), world=world_word(world, renderer_of(camera)), engine=engine,
+            latency=latency or (), world=world_word(world, camera), engine=engine,
             audit=audit,
         )
         options = make_estimate_options(

@@ -1,4 +1,4 @@
-"""``taxinet place``: list the places, or draw one from above."""
+"""``taxinet place``: draw a place from above, or list all."""
 
 from __future__ import annotations
 
@@ -9,56 +9,52 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import AptDatOption, PictureOption, RunwayOption, airport_place
+from taxinet_ros.cli.options import PictureOption, refuse_given
 
 if TYPE_CHECKING:
     from taxinet_ros.core.place.place import Place
 
-place_app = command_group('Places where runs take place.')
 
-
-@place_app.command('list')
-def list_places() -> None:
-    """List the shipped places."""
-    from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place
-
-    for name in SHIPPED_PLACES:
-        place = find_place(name)
-        runway = place.runway
-        tracks = f'; tracks {", ".join(place.track_names)}' if place.tracks else ''
-        print(
-            f'{name}  {runway.length_m:5.0f} m x {runway.width_m:5.2f} m  '
-            f'{math.degrees(runway.bearing_rad):5.1f} deg  {runway.category:<12} '
-            f'{place.title}{tracks}'
-        )
-
-
-@place_app.command('show')
-def show_place(
-    place: Annotated[
-        str,
+def place(
+    context: typer.Context,
+    name: Annotated[
+        str | None,
         typer.Argument(
-            metavar='PLACE', help='shipped name, YAML file, or ICAO code with --runway'
+            metavar='[PLACE]', help='shipped name, YAML file, ICAO/RUNWAY of an installed apt.dat, '
+            'or FILE.dat:ICAO/RUNWAY (default: list those that are shipped)'
         ),
-    ],
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
+    ] = None,
     out: PictureOption = None,
 ) -> None:
-    """Describe a place, and draw it from above: runway, markings, pavements, taxi routes."""
+    """Describe a place, and draw it from above, or list all.
+
+    The picture shows runway, markings, pavements and taxi routes.
+    """
     from taxinet_ros.analysis.camera.place_map import plot_place
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
-    from taxinet_ros.core.place.catalogue import typed_place
+    from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place
 
-    if runway is not None or apt_dat is not None:
-        place = airport_place(place, runway, apt_dat)
-    found = typed_place(place)
+    if name is None:
+        refuse_given(context, ('out',), 'only with a PLACE')
+        for shipped in SHIPPED_PLACES:
+            _print_line(find_place(shipped))
+        return
+    found = typed_place(name)
     path = new_picture(out, f'place-{found.name}')
     for label, text in _lines(found):
         print(f'{label:<12}{text}')
     write_picture(path, lambda: plot_place(found, path))
     print(f'picture: {path}')
+
+
+def _print_line(place: Place) -> None:
+    runway = place.runway
+    tracks = f'; tracks {", ".join(place.track_names)}' if place.tracks else ''
+    print(
+        f'{place.name}  {runway.length_m:5.0f} m x {runway.width_m:5.2f} m  '
+        f'{math.degrees(runway.bearing_rad):5.1f} deg  {runway.category:<12} '
+        f'{place.title}{tracks}'
+    )
 
 
 def _lines(place: Place) -> Iterator[tuple[str, str]]:

@@ -22,7 +22,7 @@ from taxinet_ros.cli.options import (
     MonitorOption,
     PerceptionCommandOption,
     PerceptionOption,
-    RendererOption,
+    WorldCameraOption,
     WorldOption,
     controller_of,
     refuse_given,
@@ -40,7 +40,7 @@ def up(
     monitor: MonitorOption = None,
     fallback: FallbackOption = None,
     world: WorldOption = 'kmwh',
-    camera: RendererOption = 'ours',
+    camera: WorldCameraOption = None,
     out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
     record: Annotated[
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
@@ -132,7 +132,7 @@ def up(
     check_controller(steers, gains, graph=True)
     timing = check_timing(latency or (), free=free, factor=real_time_factor)
     check_not_free(timing, steers)
-    chosen = find_world(world_word(world, None if camera == 'ours' else camera))
+    chosen = find_world(world_word(world, camera))
     if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
     out = out or new_folder(DEFAULT_ROOT / 'up')

@@ -1,4 +1,4 @@
-"""``taxinet aircraft``: list the aircraft, or measure and draw one."""
+"""``taxinet aircraft``: measure and draw an aircraft, or list all."""
 
 from __future__ import annotations
 
@@ -8,39 +8,36 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import PictureOption
+from taxinet_ros.cli.options import PictureOption, refuse_given
 
 if TYPE_CHECKING:
     from taxinet_ros.core.rig.aircraft_model import AircraftModel
 
-aircraft_app = command_group('Aircraft that taxi.')
 
-
-@aircraft_app.command('list')
-def list_aircraft() -> None:
-    """List the shipped aircraft."""
-    from taxinet_ros.core.rig.catalogue import AIRCRAFT
-
-    for name in AIRCRAFT.shipped:
-        aircraft = AIRCRAFT.find(name)
-        print(f'{name:<9} model {aircraft.model:<9} {aircraft.title}')
-
-
-@aircraft_app.command('show')
-def show_aircraft(
-    aircraft: Annotated[
-        str, typer.Argument(metavar='AIRCRAFT', help='shipped name, or YAML file of one')
-    ],
+def aircraft(
+    context: typer.Context,
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar='[AIRCRAFT]', help='shipped name, or YAML file of one (default: '
+                       'list those that are shipped)'),
+    ] = None,
     out: PictureOption = None,
 ) -> None:
-    """Load an aircraft, measure what its file leaves out, say what is wrong, and draw it."""
+    """Load an aircraft, measure it, say what is wrong, and draw it, or list all.
+
+    Measures what its file leaves out.
+    """
     from taxinet_ros.analysis.camera.rig_pictures import draw_aircraft
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
     from taxinet_ros.core.motion.aircraft import checked_aircraft
     from taxinet_ros.core.rig.catalogue import AIRCRAFT
 
-    given = AIRCRAFT.typed(aircraft)
+    if name is None:
+        refuse_given(context, ('out',), 'only with an AIRCRAFT')
+        for shipped in map(AIRCRAFT.find, AIRCRAFT.shipped):
+            print(f'{shipped.name:<9} model {shipped.model:<9} {shipped.title}')
+        return
+    given = AIRCRAFT.typed(name)
     found = checked_aircraft(given)
     path = new_picture(out, f'aircraft-{found.name}') if found.outline else None
     for label, text in _lines(given, found):

@@ -10,21 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.checked import check_output, tell_doubts
+from taxinet_ros.cli.checked import tell_doubts
+from taxinet_ros.cli.completion import complete_aircraft
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import (
-    AircraftOption,
-    AirportOption,
-    AptDatOption,
-    CameraOption,
     PictureOption,
-    RunwayOption,
+    RendererOption,
     ScenarioOption,
-    renderer_of,
-    scene_settings,
+    refuse_given,
 )
 from taxinet_ros.cli.training.labelled_frames import compare
-from taxinet_ros.cli.training.shadow import shadow
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -35,22 +30,21 @@ _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--ra
 camera_app = command_group('Render camera frames, and compare them with labelled images.')
 
 
-@camera_app.command('list')
-def list_cameras() -> None:
-    """List the shipped cameras."""
-    from taxinet_ros.core.rig.catalogue import CAMERAS
-
-    for name in CAMERAS.shipped:
-        camera = CAMERAS.find(name)
-        print(f'{name:<6} {camera.width_px}x{camera.height_px}  {camera.title}')
-
-
 @camera_app.command('show')
 def show_camera(
+    context: typer.Context,
     camera: Annotated[
-        str, typer.Argument(metavar='CAMERA', help='shipped name, or YAML file of one')
-    ],
-    aircraft: AircraftOption = None,
+        str | None,
+        typer.Argument(metavar='[CAMERA]', help='shipped name, or YAML file of one (default: list '
+                       'those that are shipped)'),
+    ] = None,
+    aircraft: Annotated[
+        str | None,
+        typer.Option(
+            metavar='NAME|FILE', help='aircraft: caravan, c172p, or a YAML file of one',
+            autocompletion=complete_aircraft,
+        ),
+    ] = None,
     out: PictureOption = None,
     yaml: Annotated[
         Path | None,
@@ -60,13 +54,19 @@ def show_camera(
         ),
     ] = None,
 ) -> None:
-    """Describe a camera, and draw what it sees on an aircraft and where it looks."""
+    """Describe a camera, and draw what it sees on an aircraft and where it looks, or list all."""
     from taxinet_ros.analysis.camera.rig_pictures import draw_camera
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
     from taxinet_ros.core.camera.airframe import covering_doubts
     from taxinet_ros.core.motion.aircraft import checked_aircraft
     from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 
+    if camera is None:
+        refuse_given(context, ('aircraft', 'out', 'yaml'), 'only with a CAMERA')
+        for name in CAMERAS.shipped:
+            found = CAMERAS.find(name)
+            print(f'{name:<6} {found.width_px}x{found.height_px}  {found.title}')
+        return
     found = CAMERAS.typed(camera)
     on = checked_aircraft(AIRCRAFT.typed(aircraft or AIRCRAFT.default))
     path = new_picture(out, f'camera-{found.name}')
@@ -82,11 +82,7 @@ def show_camera(
 @camera_app.command('frame')
 def frame(
     settings: ScenarioOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: RendererOption = 'ours',
     out: PictureOption = None,
 ) -> None:
     """Render the first camera frame of a run of one scene, as large as its camera makes it."""
@@ -98,11 +94,9 @@ def frame(
     from taxinet_ros.core.scenario import scenario_from_human
     from taxinet_ros.trials.options import read_settings
 
-    words = scene_settings(settings, airport, runway, apt_dat, aircraft, camera)
-    scene = scenario_from_human(read_settings(words))
-    renderer = renderer_of(camera) or 'ours'
+    scene = scenario_from_human(read_settings(settings or ()))
     path = new_picture(out, 'camera-frame')
-    write_picture(path, lambda: Image.fromarray(scene_picture(scene, renderer)).save(path))
+    write_picture(path, lambda: Image.fromarray(scene_picture(scene, camera)).save(path))
     print(f'picture: {path}')
     tell_doubts(covering_doubts(scene.aircraft_model, scene.camera_model))
 
@@ -116,11 +110,7 @@ def sheet(
         'cloud')
     ] = '',
     settings: ScenarioOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: RendererOption = 'ours',
     out: PictureOption = None,
 ) -> None:
     """Render one pose at many hours and skies on one contact sheet."""
@@ -129,8 +119,7 @@ def sheet(
     from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
     from taxinet_ros.trials.options import read_settings
 
-    values = read_settings(
-        scene_settings(settings, airport, runway, apt_dat, aircraft, camera))
+    values = read_settings(settings or ())
     for key, option in _AXES.items():
         if key in values:
             raise UsageError(f'--set {key}: varies over the sheet; use {option} {values[key]}')
@@ -138,13 +127,11 @@ def sheet(
     rains = numbers('--rain', rain) or (0.0,)
     kinds = words(clouds) or (RAIN_CLOUDS if rain else CLOUDS)
     scenes = sheet_scenes(values, columns, kinds, rains)
-    renderer = renderer_of(camera) or 'ours'
     path = new_picture(out, 'camera-sheet')
-    write_picture(path, lambda: camera_sheet(scenes, path, renderer))
+    write_picture(path, lambda: camera_sheet(scenes, path, camera))
     print(f'sheet: {path}')
 
 
-camera_app.command('shadow')(shadow)
 camera_app.command('compare')(compare)
 
 
@@ -155,7 +142,6 @@ def _write_camera(camera: CameraModel, path: Path) -> None:
 
     if path.suffix not in SUFFIXES:
         raise UsageError(f'--yaml {path}: camera files end in .yaml; use {path.stem}.yaml')
-    check_output(f'--yaml {path}', path)
     try:
         with path.open('x', encoding='utf-8') as file:
             file.write(dump_yaml(json.loads(camera.document)))

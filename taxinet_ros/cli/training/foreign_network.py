@@ -11,17 +11,7 @@ import typer
 from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.completion import one_of
 from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import (
-    AircraftOption,
-    AirportOption,
-    AptDatOption,
-    CameraOption,
-    PictureOption,
-    RunwayOption,
-    ScenarioOption,
-    renderer_of,
-    scene_settings,
-)
+from taxinet_ros.cli.options import PictureOption, ScenarioOption
 from taxinet_ros.errors import UsageError
 
 network_app = command_group('Networks of others: convert them, and see what they see.')
@@ -68,7 +58,7 @@ def from_nnet(
     beside = sidecar_path(out)
     own = beside.exists() and source.exists() and beside.samefile(source)
     if not own:
-        check_output(f'--out {out}: {beside}', beside)
+        check_output(f'--out {out}: {beside}', beside, own=[beside.suffix])
     for path in (out, *(() if own else (beside,))):
         if path.exists() or path.is_symlink():
             raise UsageError(f'--out {out}: {path} already exists; choose a new name')
@@ -86,11 +76,6 @@ def from_nnet(
 def see(
     network: Annotated[Path, typer.Argument(metavar='NETWORK.onnx', help='an ONNX network')],
     settings: ScenarioOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
     out: PictureOption = None,
 ) -> None:
     """Draw what an ONNX network gets to see of a scene's first frame, and print its answer."""
@@ -102,10 +87,7 @@ def see(
     from taxinet_ros.core.scenario import scenario_from_human
     from taxinet_ros.trials.options import read_settings
 
-    if renderer_of(camera):
-        raise UsageError(f'--camera {camera}: only our own camera draws here; name a mounted one')
-    scene = scenario_from_human(read_settings(
-        scene_settings(settings, airport, runway, apt_dat, aircraft, camera)))
+    scene = scenario_from_human(read_settings(settings or ()))
     loaded, _ = tried_network(network)
     path = new_picture(out, f'network-{network.stem}')
     found = network_view(loaded, scene)

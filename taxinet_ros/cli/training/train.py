@@ -125,7 +125,7 @@ def run_train(options: TrainOptions) -> None:
 
     beside = card_path(options.out), options.curves_path, options.history_path
     for path in beside if options.out.suffix else ():
-        check_output(f'train: --out {options.out}: {path}', path)
+        check_output(f'train: --out {options.out}: {path}', path, own=[path.suffix])
     console = Console(highlight=False)
     try:
         with stage_bars(console) as show:
