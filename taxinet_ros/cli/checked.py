@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,21 +27,8 @@ RECORD_NAMES = frozenset({
 })
 """Names of files in which campaigns, experiments, studies, data sets and bags are recorded."""
 
-_READ = frozenset({
-    '.safetensors', '.onnx', '.nnet', '.npz', '.scenic', '.py', '.mcap', '.parquet', '.db',
-})
-"""Suffixes of files that commands read, and that only an option for such files may replace."""
 _RECORDING = '.mcap'
-_LOOK = 65_536
-_TABLE = '.parquet'
-_STARTS = (
-    (b'PAR1', 'a table (Parquet)'),
-    (b'\x89MCAP0\r\n', 'a recording (MCAP)'),
-    (b'SQLite format 3\0', 'a record (SQLite)'),
-    (b'run_id,index,', 'a table of runs'),
-    (b'rosbag2_bagfile_information:', 'the description of a bag'),
-)
-_SUFFIX = re.compile(r'\.\w+$')
+_SUFFIX = re.compile(r'\.\w+')
 
 
 class CheckedCommand(TyperCommand):
@@ -58,10 +45,9 @@ class CheckedCommand(TyperCommand):
         for param, path in outputs(self, ctx.params):
             info = _info(param)
             given = (value for name, value in ctx.params.items() if name != param.name)
-            own = _SUFFIX.search(info.metavar or '')
             check_output(
                 f'{_name(param)} {path}', path, inputs=_paths(given), folder=info.dir_okay,
-                own=own[0] if own else '',
+                own=_SUFFIX.findall(info.metavar or ''),
             )
         return super().invoke(ctx)
 
@@ -90,18 +76,19 @@ def tell_doubts(lines: Iterable[str]) -> None:
 
 
 def check_output(
-    where: str, path: Path, *, inputs: Iterable[Path] = (), folder: bool = False, own: str = ''
+    where: str, path: Path, *, inputs: Iterable[Path] = (), folder: bool = False,
+    own: Sequence[str] = (),
 ) -> None:
     """Refuse to write a file in the place of a record, an input or what is no regular file.
 
-    An earlier output of the same kind may be replaced, if the command does that.
+    An earlier output of the same kind, known by its suffix, may be replaced, if the command does.
 
     Args:
         where: option and value, which begin the message.
         path: the file.
         inputs: files that the command reads.
         folder: whether a folder may be there.
-        own: suffix of the files that the option writes, which it may replace.
+        own: suffixes of the files that the option writes, which it may replace.
 
     Raises:
         UsageError: it would destroy something.
@@ -123,29 +110,15 @@ def check_output(
         return
     if any(_same(path, one) for one in inputs):
         raise UsageError(f'{where}: is read by this command; choose another name')
-    if not path.suffix == own == _TABLE and (what := _record(path)):
-        raise UsageError(f'{where}: is {what}, which is not overwritten; choose another name')
-    if path.suffix in _READ - {own}:
-        raise UsageError(
-            f'{where}: there is a {path.suffix} file, which is not overwritten; choose another name'
-        )
+    if path.suffix not in own:
+        if own:
+            raise UsageError(f'{where}: exists, and is no {own[0]} file; choose another name')
+        raise UsageError(f'{where}: already exists and is not overwritten; choose a new name')
 
 
 def _holds_records(folder: Path) -> bool:
     return any((folder / name).exists() for name in RECORD_NAMES) or any(
         folder.glob(f'*{_RECORDING}'))
-
-
-def _record(path: Path) -> str:
-    """What kind of record a file is by its content; '' if it is none."""
-    from taxinet_ros.files.sealed_json import is_sealed
-
-    with path.open('rb') as file:
-        head = file.read(_LOOK)
-    for start, what in _STARTS:
-        if head.startswith(start):
-            return what
-    return 'a sealed record' if is_sealed(path) else ''
 
 
 def _same(path: Path, other: Path) -> bool:

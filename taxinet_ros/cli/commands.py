@@ -21,15 +21,15 @@ from taxinet_ros.registry import COMMANDS, SHIPPED, Extension, find, installed
 
 SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     'Run scenes': {
-        'demo': ('run.commands:demo', 'Run ten scenes with both networks and with ground truth.'),
+        'demo': ('run.demo:demo', 'Run ten scenes with both networks and with ground truth.'),
         'run': ('run.commands:run', "Run a Scenic program's scenes through the graph."),
         'up': (
-            'run.commands:up',
+            'run.up:up',
             'Start every node except the sampler in its own process and keep them running.',
         ),
         'node': ('run.node:node', 'Start one node, as `ros2 run taxinet_ros NAME` does.'),
         'check-node': (
-            'run.commands:check_node', 'Test your own node against the lockstep protocol.',
+            'run.check_node:check_node', 'Test your own node against the lockstep protocol.',
         ),
     },
     'Search for failures': {
@@ -42,18 +42,18 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     'Find the causes': {
         'why': ('study.why:why', 'Find out why a campaign or a run failed, and what to do.'),
         'analyze': (
-            'analysis.commands:analyze',
+            'analysis.analyze:analyze',
             "Find the causes of a campaign's failures, and write a report.",
         ),
         'localize': (
-            'analysis.commands:localize', 'Find which part causes failures: network or controller.',
+            'analysis.localize:localize', 'Find which part causes failures: network or controller.',
         ),
-        'explain': ('analysis.commands:explain', 'Explain why the network failed in one run.'),
+        'explain': ('analysis.explain:explain', 'Explain why the network failed in one run.'),
         'shrink': (
             'run.commands:shrink', 'Shrink a failed run to the nearest scenario that still fails.',
         ),
         'fork': (
-            'analysis.commands:fork',
+            'analysis.fork:fork',
             'Repeat a recorded run up to a moment, and go on in a changed world.',
         ),
         'experiment': (
@@ -63,29 +63,29 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     'Judge': {
         'check': (
-            'analysis.commands:check',
+            'analysis.check:check',
             'Drive networks through 50 fixed scenes, as a quick check before a commit.',
         ),
         'plan': (
-            'analysis.commands:plan',
+            'analysis.plan:plan',
             'Plan how many runs a claim takes, from the start or after those there are.',
         ),
-        'gate': ('analysis.commands:gate', 'Check a campaign against acceptance thresholds.'),
+        'gate': ('analysis.gate:gate', 'Check a campaign against acceptance thresholds.'),
         'odd': (
-            'analysis.commands:odd_app',
+            'analysis.odd:odd_app',
             'Operational design domains (ODD), and what campaigns cover of one.',
         ),
         'forecast': ('', 'Lower bounds on the final robustness of runs in progress.'),
         'compare': (
-            'analysis.commands:compare',
+            'analysis.compare:compare',
             'Compare two networks on the same scenes: what got better, what got worse, and why.',
         ),
         'bisect': (
-            'analysis.commands:bisect',
+            'analysis.bisect:bisect',
             'Find which of several networks in order broke which scenes.',
         ),
         'monitor': (
-            'analysis.commands:monitor',
+            'analysis.monitor:monitor',
             'Judge recorded runs by their own requirements or by new ones.',
         ),
         'assure': (
@@ -94,18 +94,18 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         'live-monitor': ('', 'Evaluate formulas on topics of any robot as messages arrive.'),
         'evidence': ('', 'Write evidence toward a requirement, all by hash, and verify it.'),
         'spec': (
-            'analysis.commands:spec',
+            'analysis.spec:spec',
             'Show how requirements are parsed, and warn of likely mistakes.',
         ),
-        'evaluate': ('training.commands:evaluate', "Measure a network's errors on single frames."),
+        'evaluate': ('training.evaluate:evaluate', "Measure a network's errors on single frames."),
     },
     'Train': {
-        'dataset': ('training.commands:dataset', 'Render labelled training images of scenes.'),
+        'dataset': ('training.dataset:dataset', 'Render labelled training images of scenes.'),
         'train': (
-            'training.commands:train', 'Train TaxiNet on rendered scenes or labelled images.',
+            'training.train:train', 'Train TaxiNet on rendered scenes or labelled images.',
         ),
         'network': (
-            'training.commands:network_app',
+            'training.foreign_network:network_app',
             'Networks of others: convert them, and see what they see.',
         ),
         'improve': (
@@ -125,25 +125,28 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     'Worlds and cameras': {
         'camera': (
-            'training.commands:camera_app',
+            'training.camera:camera_app',
             'Render camera frames, and compare them with labelled images.',
         ),
-        'place': ('run.commands:place_app', 'Places where runs take place.'),
-        'aircraft': ('run.commands:aircraft_app', 'Aircraft that taxi.'),
+        'place': ('run.place:place', 'Describe a place, and draw it from above, or list all.'),
+        'aircraft': (
+            'training.aircraft:aircraft',
+            'Load an aircraft, measure it, say what is wrong, and draw it, or list all.',
+        ),
         'flightgear': ('', 'FlightGear as a camera: start it, and see whether it works.'),
         'xplane': ('', 'X-Plane as camera and as world.'),
     },
     'Recordings and tools': {
         'bag': ('bag.commands:bag_app', 'Inspect, check, repair and export bags.'),
         'doctor': (
-            'analysis.commands:doctor', 'Check this machine, or every file in a results folder.',
+            'bag.doctor:doctor', 'Check this machine, or every file in a results folder.',
         ),
         'setup-messages': (
             'messages:setup_messages',
             'Build the ROS 2 messages into this virtual environment, once after pip install.',
         ),
         'plugins': (
-            'run.commands:plugins',
+            'run.plugins:plugins',
             'List perceptions, controllers, samplers, worlds, commands and more by name.',
         ),
         'bench': (

@@ -76,13 +76,6 @@ def complete_sampler_option(context: typer.Context, incomplete: str) -> list[str
     return _begin(dict.fromkeys(found), incomplete)
 
 
-def complete_mounted(incomplete: str) -> list[str]:
-    """Cameras to mount, and who takes pictures."""
-    from taxinet_ros.core.rig.catalogue import CAMERAS as MOUNTED
-
-    return _begin([*MOUNTED.shipped, *names(CAMERAS)], incomplete)
-
-
 def complete_aircraft(incomplete: str) -> list[str]:
     """Shipped aircraft that begin so."""
     from taxinet_ros.core.rig.catalogue import AIRCRAFT

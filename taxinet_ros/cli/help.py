@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import typer
-from typer.core import TyperGroup
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     'demo': ('taxinet demo',),
@@ -86,16 +83,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "taxinet tune --vary 'steering.max_intercept_rad=10 deg:60 deg' --scenes 20",
     ),
     'case-study': ('taxinet case-study --scale 0.02 --out bags/smoke',),
-    'camera list': ('taxinet camera list',),
-    'camera show': ('taxinet camera show wing',),
+    'camera show': ('taxinet camera show', 'taxinet camera show wing'),
     'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
     'camera sheet': ('taxinet camera sheet',),
-    'camera shadow': ('taxinet camera shadow',),
     'camera compare': ('taxinet camera compare frames --json',),
-    'place list': ('taxinet place list',),
-    'place show': ('taxinet place show kmwh_04',),
-    'aircraft list': ('taxinet aircraft list',),
-    'aircraft show': ('taxinet aircraft show caravan',),
+    'place': ('taxinet place', 'taxinet place kmwh_04'),
+    'aircraft': ('taxinet aircraft', 'taxinet aircraft caravan'),
     'flightgear start': ('taxinet flightgear start --at BIKF',),
     'flightgear doctor': ('taxinet flightgear doctor',),
     'xplane doctor': ('taxinet xplane doctor',),
@@ -118,25 +111,13 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 _VERBATIM = '\b'
 
 
-class DefaultCommand(TyperGroup):
-    """A group whose first command is meant where the first word is none of its commands."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the first command's name before other words."""
-        first = next(iter(self.commands))
-        if args and args[0] not in (*self.commands, *ctx.help_option_names):
-            args = [first, *args]
-        return super().parse_args(ctx, args)
-
-
-def command_group(help_text: str, cls: type[TyperGroup] = TyperGroup) -> typer.Typer:
+def command_group(help_text: str) -> typer.Typer:
     """A group of commands, which prints its help where no command is named.
 
     Args:
         help_text: what its commands are for.
-        cls: how it finds the command that is meant.
     """
-    group = typer.Typer(cls=cls, rich_markup_mode=None, help=help_text)
+    group = typer.Typer(rich_markup_mode=None, help=help_text)
 
     @group.callback(invoke_without_command=True)
     def show_help(context: typer.Context) -> None:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from taxinet_ros.cli.completion import (
-    complete_aircraft,
     complete_controller,
     complete_fallback,
-    complete_mounted,
     complete_odd,
     complete_perception,
     complete_program,
@@ -60,73 +57,6 @@ def given_among(context: typer.Context, names: Collection[str]) -> list[str]:
         max(parameter.opts, key=len) for parameter in context.command.params
         if parameter.name in names and parameter.name in given
     ]
-
-
-_APT_DAT = (
-    '/usr/share/games/flightgear/Airports/apt.dat.gz', '/usr/share/flightgear/Airports/apt.dat.gz',
-    '~/X-Plane 12/Global Scenery/Global Airports/Earth nav data/apt.dat',
-    '~/X-Plane 11/Custom Scenery/Global Airports/Earth nav data/apt.dat',
-)
-
-
-def scene_settings(
-    settings: Sequence[str] | None, airport: str | None, runway: str | None, apt_dat: Path | None,
-    aircraft: str | None, camera: str | None,
-) -> list[str]:
-    """Values of ``--set``, with those that the options for place, aircraft and camera select.
-
-    A camera that names who takes the pictures is no such value: see :func:`renderer_of`.
-
-    Raises:
-        UsageError: a part of the place is missing, or no apt.dat is found.
-    """
-    given = list(settings or ())
-    if airport is not None:
-        given.append(f'place={airport_place(airport, runway, apt_dat)}')
-    elif runway is not None or apt_dat is not None:
-        raise UsageError('--runway and --apt-dat: only with --airport')
-    mounted = None if renderer_of(camera) else camera
-    told = {'aircraft': aircraft, 'camera': mounted}
-    return [*given, *(f'{key}={word}' for key, word in told.items() if word is not None)]
-
-
-def renderer_of(camera: str | None) -> str | None:
-    """The word after ``--camera``, if it says who takes the pictures; None if which is mounted.
-
-    Raises:
-        UsageError: it is the name of one of each.
-    """
-    from taxinet_ros.core.rig.catalogue import CAMERAS as MOUNTED
-    from taxinet_ros.core.user_code import names_user_code
-    from taxinet_ros.registry import CAMERAS, find
-
-    if camera is None or not (names_user_code(camera) or find(CAMERAS, camera)):
-        return None
-    if camera in MOUNTED.shipped:
-        other = find(CAMERAS, camera)
-        raise UsageError(
-            f'--camera {camera}: a camera to be mounted, and {other.words if other else camera}; '
-            f'--set camera={camera} mounts it'
-        )
-    return camera
-
-
-def airport_place(airport: str, runway: str | None, apt_dat: Path | None) -> str:
-    """Place of an airport's runway, in the form of ``--set place=``.
-
-    Raises:
-        UsageError: no runway is named, or no apt.dat is found.
-    """
-    if runway is None:
-        raise UsageError(f'--airport {airport}: name the end to taxi from, as --runway 04')
-    told = apt_dat or os.getenv('TAXINET_APT_DAT')
-    known = [path for path in (Path(name).expanduser() for name in _APT_DAT) if path.is_file()]
-    found = [told] if told else known
-    if not found:
-        raise UsageError(
-            f'--airport {airport}: no apt.dat found; name one with --apt-dat or TAXINET_APT_DAT'
-        )
-    return f'{found[0]}:{airport}/{runway}'
 
 
 def ended(code: int, exit_zero: bool) -> typer.Exit:
@@ -185,6 +115,9 @@ FromOption = Annotated[
         help="rerun a bag's scenario, with its own perception unless --perception is given, and "
         "compare",
     ),
+]
+BagArgument = Annotated[
+    Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
 ]
 RunOption = Annotated[
     str | None,
@@ -264,44 +197,23 @@ SetOption = Annotated[
         autocompletion=complete_setting,
     ),
 ]
-AirportOption = Annotated[
-    str | None,
-    typer.Option(metavar='ICAO', help='run at this airport of an apt.dat; needs --runway'),
-]
-RunwayOption = Annotated[
-    str | None, typer.Option(metavar='NUMBER', help='end to taxi from, as 04 or 16R')
-]
-AptDatOption = Annotated[
-    Path | None,
+ScenarioOption = Annotated[
+    list[str] | None,
     typer.Option(
-        metavar='FILE', help='apt.dat or apt.dat.gz of X-Plane or FlightGear (default: '
-        'TAXINET_APT_DAT, else where these put it)',
+        '--set', metavar='KEY=VALUE',
+        help='a scenario value (cross_track_m=-3, heading_deg=10, distance_m=900, '
+        'time_of_day_h=16, clouds=broken, rain_percent=50, shadows=off, date=2020-06-21, …); '
+        'repeatable',
+        autocompletion=complete_setting,
     ),
 ]
-AircraftOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar='NAME|FILE', help='aircraft: caravan, c172p, or a YAML file of one',
-        autocompletion=complete_aircraft,
-    ),
-]
-CameraOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar='NAME|FILE',
-        help='camera: wing, strut, nose, tail, or a YAML file of one; or who takes its pictures: '
-        'ours, a name that a package adds, or FILE.py:NAME (then --set camera=NAME mounts it)',
-        autocompletion=complete_mounted,
-    ),
-]
-RendererOption = Annotated[
-    str,
-    typer.Option(
-        '--camera', metavar='NAME|FILE',
-        help='who takes the pictures: ours, a name that a package adds, or FILE.py:NAME',
-        autocompletion=complete_renderer,
-    ),
-]
+_CAMERA = typer.Option(
+    '--camera', metavar='NAME|FILE',
+    help="who takes the pictures: ours, a name that a package adds, or FILE.py:NAME (a scenario's "
+    'key camera mounts another of ours)', autocompletion=complete_renderer,
+)
+RendererOption = Annotated[str, _CAMERA]
+WorldCameraOption = Annotated[str | None, _CAMERA]
 SpecOption = Annotated[
     list[str] | None,
     typer.Option(

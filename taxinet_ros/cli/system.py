@@ -32,7 +32,6 @@ from taxinet_ros.instructions import lacking
 
 _PYTHONS = ((3, 11), (3, 13))
 _CXX_STANDARD = b'#include <bit>\nstatic_assert(std::bit_cast<int>(0.0F) == 0);\n'
-_BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'firefox', 'xdg-open')
 _FILES_OF_A_GRAPH = 256
 _MEMORY_OF_A_GRAPH, _SHARED_OF_A_GRAPH = 1.5e9, 64e6
 _BAG_BYTES, _ROOM_BYTES = 35e6, 2e9
@@ -321,33 +320,6 @@ def _disk(name: str) -> Iterator[Check]:
             yield Check(name, 'ok', f'{room / 1e9:,.0f} GB free in {place} ({what})')
 
 
-def _pages(name: str) -> Iterator[Check]:
-    from matplotlib import font_manager
-
-    font = str(font_manager.findfont('DejaVu Sans', fallback_to_default=False))
-    yield Check('fonts', 'ok', font)
-    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    if found:
-        yield Check(name, 'ok', f'{found} shows reports')
-    else:
-        yield Check(name, 'missing', 'no browser here', 'copy report.html to a machine with one')
-
-
-def _flightgear(name: str) -> Iterator[Check]:
-    absent = [word for word in ('fgfs', 'Xvfb') if not _program(word)]
-    if absent:
-        yield Check(
-            name, 'missing', f'no {" and no ".join(absent)}, for --camera flightgear',
-            'apt install flightgear xvfb',
-        )
-    else:
-        yield Check(name, 'ok', f'{_program("fgfs")}; more: taxinet flightgear doctor')
-
-
-def _program(word: str) -> str | None:
-    return shutil.which(word, path=f'{os.environ.get("PATH", "")}:/usr/games')
-
-
 def _run(name: str) -> Iterator[Check]:
     import taxinet_ros as tx
 
@@ -363,6 +335,5 @@ def _run(name: str) -> Iterator[Check]:
 _CHECKS: dict[str, Callable[[str], Iterator[Check]]] = {
     'python': _python, 'processor': _processor, 'camera': _compiled, 'compiler': _compiler,
     'packages': _packages, 'ros': _ros, 'messages': _messages, 'domain': _domain,
-    'memory': _memory, 'limits': _limits, 'disk': _disk, 'browser': _pages,
-    'flightgear': _flightgear, 'run': _run,
+    'memory': _memory, 'limits': _limits, 'disk': _disk, 'run': _run,
 }

@@ -253,7 +253,8 @@ def find_renderer(name: str) -> ChosenRenderer | None:
         extension = find(CAMERAS, name)
         if extension is None:
             raise UsageError(
-                f'camera: {name!r} is unknown; known: {known(CAMERAS, "FILE.py:NAME")}'
+                f'camera: {name!r} is unknown; known: {known(CAMERAS, "FILE.py:NAME")}; the '
+                "scenario's key camera mounts one of ours"
             )
         made, words, failure = extension.load(), extension.words, extension.failure
         fingerprint, origin = '', ''

@@ -247,7 +247,7 @@ def test_given_a_full_disk_when_exporting_then_one_line_and_exit_code_four(
             raise OSError(28, 'No space left on device')
         make_atomically(path, fail)
 
-    monkeypatch.setattr('taxinet_ros.cli.bag.export.make_atomically', full)
+    monkeypatch.setattr('taxinet_ros.files.atomic.make_atomically', full)
     code, out, err = bag('export', 'run', '--out', 'NEW/t.csv')
     assert (code, out) == (4, '')
     assert err == (

@@ -31,12 +31,12 @@ from taxinet_ros.trials.record import table
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')
 OUTPUT_FILES = {
-    'aircraft show --out', 'assure calibrate --out', 'bag export --out', 'camera compare --out',
+    'aircraft --out', 'assure calibrate --out', 'bag export --out', 'camera compare --out',
     'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
     'check-node --log',
     'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd coverage --plot',
-    'odd export --out', 'place show --out', 'train --out',
+    'odd export --out', 'place --out', 'train --out',
 }
 OUTPUT_FOLDERS = {
     'analyze --out', 'assure judge --out', 'bag recover --out', 'bag render --out',
@@ -187,16 +187,15 @@ def test_given_a_file_that_a_word_names_then_it_is_an_input(words, tmp_path, mon
 
 
 def test_given_an_earlier_output_of_the_same_kind_then_it_may_be_replaced(tmp_path):
-    for name, text in (('gate.xml', '<?xml version="1.0"?>'), ('plot.png', '\x89PNG'), ('log', ''),
-                       ('runs.csv', 'a,b'), ('metadata.yaml', 'a: b')):
+    for name in ('gate.xml', 'plot.png', 'runs.csv', 'metadata.yaml'):
         path = tmp_path / name
         if name not in RECORD_NAMES:
-            path.write_text(text)
-        check_output(f'--out {name}', path)
+            path.write_text('')
+        check_output(f'--out {name}', path, own=['.xml', '.png'])
     (tmp_path / 'weights.safetensors').write_bytes(b'1')
-    check_output('--out', tmp_path / 'weights.safetensors', own='.safetensors')
-    with pytest.raises(UsageError, match=r'there is a \.safetensors file'):
-        check_output('--out', tmp_path / 'weights.safetensors')
+    check_output('--out', tmp_path / 'weights.safetensors', own=['.safetensors'])
+    with pytest.raises(UsageError, match=r'exists, and is no \.xml file'):
+        check_output('--out', tmp_path / 'weights.safetensors', own=['.xml'])
     check_output('--plot', tmp_path, folder=True)
 
 

@@ -10,9 +10,9 @@ import pytest
 from taxinet_ros.cli.completion import (
     answer_shell,
     complete_fallback,
-    complete_mounted,
     complete_perception,
     complete_program,
+    complete_renderer,
     complete_sampler,
     complete_setting,
 )
@@ -27,7 +27,7 @@ def test_given_the_beginning_of_a_word_when_completed_then_all_that_fit_are_offe
     assert set(complete_program('s_falsif')) >= {'s_falsif', 's_falsif_ce'}
     assert complete_perception('tax') == ['taxinet']
     assert complete_sampler('ce') == ['ce']
-    assert complete_mounted('') == ['wing', 'strut', 'nose', 'tail', 'ours', 'flightgear', 'xplane']
+    assert complete_renderer('') == ['ours', 'flightgear', 'xplane']
     assert complete_fallback('s') == [
         'stop', 'slow', *(f'second:{name}' for name in complete_perception('')),
     ]

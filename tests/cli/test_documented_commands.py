@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 import typer
 
-from taxinet_ros.cli.help import DefaultCommand
 from taxinet_ros.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,8 +96,6 @@ def command_of(words: list[str]) -> tuple[Any, list[str]]:
     command, rest = CLI, list(words)
     while hasattr(command, 'commands') and rest and rest[0][0].islower():
         found = command.commands.get(rest[0])
-        if found is None and isinstance(command, DefaultCommand):
-            return next(iter(command.commands.values())), rest
         assert found is not None, f'there is no command {rest[0]!r}'
         command, rest = found, rest[1:]
     return command, rest

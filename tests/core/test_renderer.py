@@ -12,7 +12,6 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
-from taxinet_ros.cli.options import renderer_of, scene_settings
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.renderer import find_renderer
@@ -125,13 +124,6 @@ def test_given_world_and_camera_when_put_into_one_word_then_it_is_taken_apart_ag
     assert world_options('kmwh') == []
     with pytest.raises(UsageError, match='names another; leave one out'):
         world_word('kmwh+flightgear', 'xplane')
-
-
-def test_given_the_option_when_it_names_a_lens_then_it_is_the_scenarios(file: Path) -> None:
-    for word, theirs in (('nose', None), ('ours', 'ours'), (f'{file}:Ours', f'{file}:Ours')):
-        assert renderer_of(word) == theirs
-        told = scene_settings(None, None, None, None, None, word)
-        assert told == ([] if theirs else [f'camera={word}'])
 
 
 def test_given_a_camera_that_is_ours_when_a_run_is_made_then_pictures_and_faults_are_the_same(

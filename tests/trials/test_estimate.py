@@ -14,7 +14,6 @@ import falsify_samples as toy
 import pytest
 
 from taxinet_ros.analysis.search.rare import estimate_lines, estimate_of, write_estimate
-from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.cli.run.estimate import run_estimate
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -231,9 +230,3 @@ def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
         make_estimate_options(campaign, **{
             'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
         })
-
-
-def test_the_error_at_which_estimates_stopped_is_refused_by_name(capsys):
-    words = ['estimate', 's_falsif', '--target-error', '0.3']
-    assert _exit_code(lambda: app(words, standalone_mode=False)) == 2
-    assert '--target-error: is no option any more' in capsys.readouterr().err

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from taxinet_ros.cli.run.up import UpView
+from taxinet_ros.cli.run.up_view import UpView
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.graph.standing import UpOptions
 from taxinet_ros.nodes.graph.supervisor import State

@@ -3,54 +3,71 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
 from rich.table import Table
 
-from taxinet_ros.analysis.campaign.findings import Findings, analyse
-from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, json_text, write_analysis
-from taxinet_ros.analysis.campaign.report import campaign_report
-from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
-from taxinet_ros.analysis.report.parts import Report
-from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
-from taxinet_ros.cli.progress import Heartbeat
+from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.trials.record.table import PARQUET_NAME
+
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.campaign.findings import Findings
+    from taxinet_ros.analysis.report.parts import Report
 
 _LOWEST_ALPHA, _HIGHEST_ALPHA = 0.002, 0.5
 
 
-def run_analyze(
-    campaign: Path, baselines: Sequence[Path], out: Path | None, *, spec: str | None, alpha: float,
-    viewers: int, as_json: bool,
+def analyze(
+    campaign: Annotated[
+        Path, typer.Argument(metavar='CAMPAIGN', help="a campaign's folder, or a .parquet table")
+    ],
+    baseline: Annotated[
+        list[Path] | None,
+        typer.Option(metavar='CAMPAIGN', help='another campaign to compare with; repeatable'),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help='output folder (default CAMPAIGN/analysis)')
+    ] = None,
+    spec: Annotated[
+        str | None, typer.Option(metavar='NAME', help='formula to analyse instead of the headline')
+    ] = None,
+    alpha: Annotated[
+        float, typer.Option(help='accepted probability of naming a false cause')
+    ] = 0.05,
+    viewers: Annotated[
+        int, typer.Option(min=0, help='maximum number of failed runs shown step by step on the '
+        'page')
+    ] = 20,
+    as_json: JsonOption = False,
 ) -> int:
-    """Analyse a campaign, write the analysis and print its summary.
+    """Find the causes of a campaign's failures, and write a report.
 
-    Args:
-        campaign: folder or table.
-        baselines: other campaigns to compare with.
-        out: folder for the analysis; None: beside the table.
-        spec: formula that decides which runs failed; None: the headline.
-        alpha: significance level of the causes.
-        viewers: maximum number of failed runs shown step by step on the page.
-        as_json: print ``analysis.json`` in place of the summary.
-
-    Returns:
-        Exit code: 0, or 3 if the campaign yields no failure rate (its shares refer to the runs
-        made, or decided).
-
-    Raises:
-        UsageError: bad input.
+    Identifies hours, clouds, positions and poses (singly and in pairs) where runs fail
+    significantly more often, clusters the counterexamples, plots robustness over each feature and
+    compares networks. Exit code 3 if a sampler chose all runs, so that the program's failure rate
+    cannot be estimated.
     """
+    from taxinet_ros.analysis.campaign.findings import analyse
+    from taxinet_ros.analysis.campaign.folder import (
+        PAGE_NAME,
+        check_folder,
+        json_text,
+        write_analysis,
+    )
+    from taxinet_ros.analysis.campaign.report import campaign_report
+    from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+
     if not _LOWEST_ALPHA <= alpha <= _HIGHEST_ALPHA:
         raise UsageError(f'--alpha {alpha:g}: not within {_LOWEST_ALPHA:g}..{_HIGHEST_ALPHA:g}')
     folder = out or _beside(campaign)
     first = read_runs(campaign, spec)
-    runs, *others = distinct_labels([first, *(read_runs(path, first.spec) for path in baselines)])
+    others = [read_runs(path, first.spec) for path in baseline or ()]
+    runs, *others = distinct_labels([first, *others])
     check_folder(folder)
-    console = Console(highlight=False)
     with _progress() as show:
         findings = analyse(runs, others, alpha=alpha, on_progress=show)
         report = campaign_report(findings, viewers=viewers)
@@ -58,6 +75,7 @@ def run_analyze(
     if as_json:
         print(json_text(values), end='')
     else:
+        console = Console(highlight=False)
         _print(console, findings, report, folder)
         console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
     return ExitCode.OK if runs.weighting.rated else ExitCode.INCOMPLETE
@@ -65,6 +83,8 @@ def run_analyze(
 
 def _print(console: Console, findings: Findings, report: Report, folder: Path) -> None:
     """Print the summary, with the causes as a table instead of sentences."""
+    from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
+
     in_table = {f'{cause.rank}. {cause.sentence()}.' for cause in findings.causes.found}
     for sentence in report.summary:
         if sentence not in in_table:
@@ -100,6 +120,8 @@ def _causes(findings: Findings) -> Table:
 
 
 def _beside(campaign: Path) -> Path:
+    from taxinet_ros.trials.record.table import PARQUET_NAME
+
     if campaign.is_dir() or campaign.suffix != '.parquet':
         return campaign / 'analysis'
     if campaign.name == PARQUET_NAME:
@@ -110,6 +132,8 @@ def _beside(campaign: Path) -> Path:
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
     """Show the current step on one transient line; without a terminal, a line now and then."""
+    from taxinet_ros.cli.progress import Heartbeat
+
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         tell = Heartbeat()

@@ -1,126 +1,139 @@
-"""``taxinet compare`` and ``taxinet bisect``: networks on the same scenes."""
+"""``taxinet compare``: two networks on the same scenes."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.campaign.bisection import (
-    Bisection,
-    bisect_scenes,
-    bisection_json,
-    bisection_lines,
+from taxinet_ros.cli.options import (
+    BoundOption,
+    ControllerOption,
+    JsonOption,
+    LatencyOption,
+    ProcessesCountOption,
+    RateOption,
+    SetOption,
+    WorldCameraOption,
+    WorldOption,
+    given_among,
 )
-from taxinet_ros.analysis.campaign.compared import (
-    Compared,
-    compared,
-    compared_json,
-    compared_report,
-)
-from taxinet_ros.analysis.campaign.folder import csv_text
-from taxinet_ros.analysis.runs.campaign import (
-    CampaignRuns,
-    distinct_labels,
-    read_runs,
-    runs_of,
-)
-from taxinet_ros.cli.progress import trial_bar
-from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.record import RECORD_NAME
-from taxinet_ros.files.sealed_table import write_table
-from taxinet_ros.trials.options import DEFAULT_ROOT, LOOP, make_options, make_out
-from taxinet_ros.trials.past_runs.shared_scenes import (
-    SceneSet,
-    SharedTrials,
-    scenes_of,
-    scenes_of_program,
-)
-from taxinet_ros.trials.record.facts import is_campaign
+
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.campaign.compared import Compared
+    from taxinet_ros.analysis.runs.campaign import CampaignRuns
+    from taxinet_ros.trials.options import CampaignOptions
+    from taxinet_ros.trials.past_runs.shared_scenes import SceneSet
 
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
-BISECT_NAME = 'bisect.json'
 BEFORE, AFTER = 'before.parquet', 'after.parquet'
-_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, 'compared.png', BISECT_NAME}
+_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, 'compared.png', 'bisect.json'}
+_OF_PROGRAM = (
+    'seed', 'spec', 'settings', 'controller', 'world', 'camera', 'latency', 'bound', 'rate',
+)
+"""Options that only the scenes of a program have."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CompareOptions:
-    """Options of ``taxinet compare``.
+def compare(
+    context: typer.Context,
+    before: Annotated[
+        str, typer.Argument(metavar='A', help='campaign or table, or a network: word or file')
+    ],
+    after: Annotated[str, typer.Argument(metavar='B', help='the same, to be compared with A')],
+    scenes: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='[SCENES]',
+            help='of two networks: a program, or a campaign, table or run whose scenes both drive',
+        ),
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help='number of scenes (default: 100 of a program, else '
+        'all of them); fewer are spread evenly')
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help='seed of the scenes of a program (default 0)')
+    ] = None,
+    spec: Annotated[
+        list[str] | None,
+        typer.Option('--spec', metavar='FORMULA', help='requirement for the scenes of a program '
+        '(default phi_eventually)'),
+    ] = None,
+    settings: SetOption = None,
+    controller: ControllerOption = 'steering',
+    world: WorldOption = 'kmwh',
+    camera: WorldCameraOption = None,
+    latency: LatencyOption = None,
+    bound: BoundOption = None,
+    rate: RateOption = None,
+    workers: ProcessesCountOption = 2,
+    out: Annotated[
+        Path | None,
+        typer.Option(help='folder for page and tables; finished runs in it are kept'),
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Compare two networks on the same scenes: what got better, what got worse, and why.
 
-    Attributes:
-        before, after: two campaigns or tables, or words or files of two networks.
-        scenes: of two networks: program, campaign, table or run with the scenes; else None.
-        runs: number of scenes; None: 100 of a program, else all.
-        seed: seed of a program's scenes.
-        settings: of the runs of a program's scenes, as :func:`.make_options` takes them; the first
-            of ``specs`` counts.
-        of_program: an option given that only scenes of a program have; ''.
-        workers: processes.
-        out: folder; None: one below ``bags/``.
-        as_json: print ``compare.json``.
+    Takes two campaigns or tables of the same scenes, or two networks and the scenes, which both
+    then drive in the closed loop without ROS; those of a program with the settings that run takes.
+    Gives the paired difference with its interval and McNemar's exact test, the scenes that changed,
+    and what they have in common. After an interrupt, the same command continues.
     """
+    from taxinet_ros.analysis.campaign.compared import compared, compared_json, compared_report
+    from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+    from taxinet_ros.core.perception.perception import check_perception
+    from taxinet_ros.core.world import world_word
+    from taxinet_ros.trials.options import LOOP, make_options
 
-    before: str
-    after: str
-    scenes: str | None
-    runs: int | None
-    seed: int | None
-    settings: Mapping[str, Any]
-    of_program: str
-    workers: int
-    out: Path | None
-    as_json: bool
-
-
-def run_compare(options: CompareOptions) -> int:
-    """Compare, write the page and print the findings.
-
-    Returns:
-        Exit code: 0 done, 130 interrupted; the same command continues.
-
-    Raises:
-        UsageError: bad input.
-    """
-    console = Console(highlight=False, stderr=options.as_json)
-    named = [_is_campaign(word) for word in (options.before, options.after)]
-    if all(named) and options.scenes is None:
-        if given := '--runs' if options.runs is not None else options.of_program:
-            raise UsageError(f'{given}: the scenes are those of the campaigns; leave it out')
-        out = _folder(options, options.before, options.after)
-        first = read_runs(Path(options.before))
-        runs = first, read_runs(Path(options.after), first.spec)
-        found = compared(*distinct_labels(runs))
+    console = Console(highlight=False, stderr=as_json)
+    networks = before, after
+    named = [_is_campaign(word) for word in networks]
+    of_program = given_among(context, _OF_PROGRAM)
+    if all(named) and scenes is None:
+        if given := ['--runs'] * (runs is not None) + of_program:
+            raise UsageError(f'{given[0]}: the scenes are those of the campaigns; leave it out')
+        out = _folder(out, networks)
+        first = read_runs(Path(before))
+        found = compared(*distinct_labels((first, read_runs(Path(after), first.spec))))
     else:
         if any(named):
             raise UsageError(
                 'compare: name two campaigns, or two networks and the scenes: a program, a '
                 'campaign, a table or a run'
             )
-        if options.scenes is None:
+        if scenes is None:
             raise UsageError(
-                f'compare {options.before} {options.after}: two networks need scenes: a program, '
+                f'compare {before} {after}: two networks need scenes: a program, '
                 'a campaign, a table or a run'
             )
-        for network in (options.before, options.after):
+        for network in networks:
             check_perception(network)
-        out = _folder(options, options.before, options.after)
-        scenes = _scenes(options, options.scenes, out)
-        done = _driven(scenes, (options.before, options.after), out, options.workers, console)
+        out = _folder(out, networks)
+        if not (Path(scenes).is_dir() or scenes.endswith('.parquet')):
+            shared = _scenes_of_program(make_options(
+                program=scenes, runs=100 if runs is None else runs, seed=seed or 0,
+                perception=before, settings=settings or (), specs=spec or (), bounds=bound or (),
+                rates=rate or (), controller=controller, latency=latency or (),
+                world=world_word(world, camera), out=out, processes=False, resume=True,
+                engine=LOOP,
+            ))
+        else:
+            shared = _scenes_of_runs(scenes, runs, of_program)
+        done = _driven(shared, networks, out, workers, console)
         if done is None:
             console.print('interrupted; the same command goes on', soft_wrap=True)
             return ExitCode.INTERRUPTED
         # Nothing but the network differs between these runs.
         found = replace(compared(*distinct_labels(done)), differing=())
     _write(found, out)
-    if options.as_json:
+    if as_json:
         print(json.dumps(compared_json(found), indent=2, allow_nan=False))
     for sentence in compared_report(found).summary:
         console.print(sentence, soft_wrap=True, markup=False)
@@ -129,12 +142,17 @@ def run_compare(options: CompareOptions) -> int:
 
 
 def _is_campaign(word: str) -> bool:
+    from taxinet_ros.trials.record.facts import is_campaign
+
     return is_campaign(Path(word)) or word.endswith('.parquet')
 
 
-def _folder(options: CompareOptions, *words: str) -> Path:
+def _folder(out: Path | None, words: Sequence[str]) -> Path:
+    from taxinet_ros.files.record import RECORD_NAME
+    from taxinet_ros.trials.options import DEFAULT_ROOT, make_out
+
     names = '-'.join(Path(word.rstrip('/')).stem.replace(':', '-') for word in words)
-    out = options.out or DEFAULT_ROOT / f'compare-{names}'
+    out = out or DEFAULT_ROOT / f'compare-{names}'
     there = {path.name for path in out.iterdir()} if out.is_dir() else set()
     # Beside a record may be its journal, its lock and a damaged one.
     if {name for name in there if RECORD_NAME not in name} - _OURS:
@@ -143,20 +161,22 @@ def _folder(options: CompareOptions, *words: str) -> Path:
     return out
 
 
-def _scenes(options: CompareOptions, word: str, out: Path) -> SceneSet:
-    """The scenes of a campaign, table or run, or else of a program."""
-    path = Path(word)
-    if path.is_dir() or word.endswith('.parquet'):
-        if options.of_program:
-            raise UsageError(f'{options.of_program}: the scenes are those of {word}; leave it out')
-        return scenes_of(path, options.runs)
-    asked = make_options(
-        program=word, runs=100 if options.runs is None else options.runs, seed=options.seed or 0,
-        perception=options.before, out=out, processes=False, resume=True, engine=LOOP,
-        **options.settings,
-    )
+def _scenes_of_runs(word: str, runs: int | None, of_program: Sequence[str]) -> SceneSet:
+    from taxinet_ros.trials.past_runs.shared_scenes import scenes_of
+
+    if of_program:
+        raise UsageError(f'{of_program[0]}: the scenes are those of {word}; leave it out')
+    return scenes_of(Path(word), runs)
+
+
+def _scenes_of_program(asked: CampaignOptions) -> SceneSet:
+    from taxinet_ros.core.world import find_world
+    from taxinet_ros.trials.past_runs.shared_scenes import scenes_of_program
+
     scenes = scenes_of_program(
-        word, runs=asked.runs, seed=asked.seed, judging=asked.judging, overrides=asked.overrides)
+        asked.program, runs=asked.runs, seed=asked.seed, judging=asked.judging,
+        overrides=asked.overrides,
+    )
     return replace(scenes, system=replace(
         scenes.system, gains=asked.gains, controller=asked.controller, timing=asked.timing,
         world=asked.world, world_sha256=find_world(asked.world).fingerprint,
@@ -167,6 +187,11 @@ def _driven(
     scenes: SceneSet, networks: Sequence[str], out: Path, workers: int, console: Console
 ) -> list[CampaignRuns] | None:
     """Drive the networks through the scenes, and write their tables; None if interrupted."""
+    from taxinet_ros.analysis.runs.campaign import runs_of
+    from taxinet_ros.cli.progress import trial_bar
+    from taxinet_ros.files.sealed_table import write_table
+    from taxinet_ros.trials.past_runs.shared_scenes import SharedTrials
+
     tables: list[CampaignRuns] = []
     total = len(networks) * len(scenes.scenes)
     with (
@@ -185,8 +210,11 @@ def _driven(
 
 
 def _write(found: Compared, out: Path) -> None:
+    from taxinet_ros.analysis.campaign.compared import compared_json, compared_report
+    from taxinet_ros.analysis.campaign.folder import csv_text
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import write_pictures
+    from taxinet_ros.files.atomic import write_atomically
 
     report = compared_report(found)
     write_pictures(report, out)
@@ -196,81 +224,3 @@ def _write(found: Compared, out: Path) -> None:
     text = json.dumps(compared_json(found), indent=2, allow_nan=False)
     write_atomically(out / JSON_NAME, text + '\n')
     write_report_page(report, out / PAGE_NAME)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BisectOptions:
-    """Options of ``taxinet bisect``.
-
-    Attributes:
-        networks: words or files in order, the good one first.
-        scene: campaign, table or run.
-        every: whether all networks are run in all scenes.
-        runs: at most so many scenes; None: all.
-        workers: processes.
-        out: folder; None: one below ``bags/``.
-        as_json: print ``bisect.json``.
-    """
-
-    networks: tuple[str, ...]
-    scene: Path
-    every: bool
-    runs: int | None
-    workers: int
-    out: Path | None
-    as_json: bool
-
-
-def run_bisect(options: BisectOptions) -> int:
-    """Find which network broke which scenes, and print it.
-
-    Returns:
-        Exit code: 0 done, 3 some run could not be judged, 130 interrupted.
-
-    Raises:
-        UsageError: bad input.
-    """
-    console = Console(highlight=False, stderr=options.as_json)
-    if len(options.networks) < 2:
-        raise UsageError('bisect: name two networks or more, in order, the good one first')
-    prints = [check_perception(network) for network in options.networks]
-    for place, fingerprint in enumerate(prints):
-        if fingerprint in prints[:place]:
-            raise UsageError(
-                f'bisect: {options.networks[place]} has the weights of '
-                f'{options.networks[prints.index(fingerprint)]}; leave one out'
-            )
-    scenes = scenes_of(options.scene, options.runs)
-    out = options.out or DEFAULT_ROOT / f'bisect-{options.scene.resolve().stem}'
-    total = len(options.networks) * len(scenes.scenes)
-    with (
-        SharedTrials(scenes, out) as trials,
-        trial_bar(console, 'runs', total) as (count, interrupted),
-    ):
-        def drive(place: int, names: Sequence[str]) -> dict[str, bool | None]:
-            done = trials.drive(
-                options.networks[place], names, workers=options.workers, on_trial=count,
-                interrupted=interrupted,
-            )
-            if interrupted():
-                raise KeyboardInterrupt
-            return {name: done[name].passed for name in names}
-
-        names = [scene.row.run_id for scene in scenes.scenes]
-        try:
-            found = bisect_scenes(options.networks, names, drive, every=options.every)
-        except KeyboardInterrupt:
-            console.print('interrupted; the same command goes on', soft_wrap=True)
-            return ExitCode.INTERRUPTED
-    values = bisection_json(found)
-    write_atomically(out / BISECT_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
-    if options.as_json:
-        print(json.dumps(values, indent=2, allow_nan=False))
-    for line in bisection_lines(found):
-        console.print(line, soft_wrap=True, markup=False)
-    console.print(f'written: {out / BISECT_NAME}', soft_wrap=True, markup=False)
-    return ExitCode.INCOMPLETE if _unclear(found) else ExitCode.OK
-
-
-def _unclear(found: Bisection) -> bool:
-    return any(scene.unclear for scene in found.scenes)

@@ -3,75 +3,79 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.explain.explain import Explanation, explain
-from taxinet_ros.analysis.explain.report import explain_json, explain_report
-from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.cli.bag.input import perception_of, readable_bags
-from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.core.renderer import ChosenRenderer, find_renderer
-from taxinet_ros.core.world import world_and_camera
+from taxinet_ros.cli.options import JsonOption, RunOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.registry import KMWH
-from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
+
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.explain.explain import Explanation
+    from taxinet_ros.bag.run.facts import RecordedRun
+    from taxinet_ros.core.renderer import ChosenRenderer
 
 JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExplainOptions:
-    """Options of ``taxinet explain``.
+def explain(
+    bag: Annotated[
+        Path, typer.Argument(metavar='BAG', help='folder of a run, usually a counterexample')
+    ],
+    run_id: RunOption = None,
+    perception: Annotated[
+        str | None,
+        typer.Option(metavar='WORD|FILE', help="network to examine (default: the run's)"),
+    ] = None,
+    frames: Annotated[
+        int,
+        typer.Option(
+            min=1, max=20, help='maximum number of frames to examine: the worst ones and the first'
+        ),
+    ] = 4,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar='NAME|FILE',
+            help="the run's camera, if that is not ours: asked for pictures of the changed scenes "
+            '(default: they are not changed)',
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help='output folder for page and images; must be new')
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Explain why the network failed in one run.
 
-    Attributes:
-        bag: a run folder or an ``.mcap`` file.
-        perception: word or file; None: the run's own.
-        frames: maximum number of moments to examine.
-        camera: who takes pictures of the modified scenes, the run's camera; None: ours does, and
-            those of another camera are not modified.
-        out: new folder for page and images; None: one below ``bags/``.
-        as_json: print the JSON instead of the summary.
+    Shows where its estimates are wrong; what it would estimate at the worst moments without shadow,
+    crossing or rain, under another sky and at another hour; and which image region the estimate
+    depends on.
     """
+    from taxinet_ros.analysis.explain.explain import explain
+    from taxinet_ros.analysis.explain.report import explain_json, explain_report
+    from taxinet_ros.cli.bag.input import readable_run
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.core.perception.perception import make_perception
+    from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
-    recording: Recording
-    perception: str | None
-    frames: int
-    camera: str | None
-    out: Path | None
-    as_json: bool
-
-
-def run_explain(options: ExplainOptions) -> int:
-    """Examine the run, write page, images and JSON, and print the summary.
-
-    Returns:
-        Exit code: 0.
-
-    Raises:
-        UsageError: bad input.
-        InfraError: the camera failed.
-    """
-    console = Console(highlight=False, stderr=options.as_json)
-    with readable_bags():
-        run = options.recording.run
-        word = _network(run, options.perception)
-        renderer = _renderer(run, options.camera)
-        out = options.out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
+    console = Console(highlight=False, stderr=as_json)
+    with readable_run(bag, run_id) as recording:
+        run = recording.run
+        word = _network(run, perception)
+        renderer = _renderer(run, camera)
+        out = out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
         check_new(out)
         with stage_bars(console) as show:
             found = explain(
-                options.recording, make_perception(word), frames=options.frames,
+                recording, make_perception(word), frames=frames,
                 on_progress=show, renderer=renderer,
             )
     _make(out)
     written = _write(found, out)
-    if options.as_json:
+    if as_json:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
         return ExitCode.OK
     console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
@@ -83,6 +87,8 @@ def run_explain(options: ExplainOptions) -> int:
 
 def _network(run: RecordedRun, asked: str | None) -> str:
     """Word or file of the network to examine; by default the run's own, if available."""
+    from taxinet_ros.cli.bag.input import perception_of
+
     name = run.request.run_id
     if asked == 'truth':
         raise UsageError('--perception truth: uses no camera image; name a network')
@@ -100,6 +106,10 @@ def _network(run: RecordedRun, asked: str | None) -> str:
 
 def _renderer(run: RecordedRun, asked: str | None) -> ChosenRenderer | None:
     """The camera that is asked for pictures of modified scenes; None for ours."""
+    from taxinet_ros.core.renderer import find_renderer
+    from taxinet_ros.core.world import world_and_camera
+    from taxinet_ros.registry import KMWH
+
     _, camera = world_and_camera(run.world or KMWH)
     if asked is None:
         return None
@@ -116,6 +126,8 @@ def _renderer(run: RecordedRun, asked: str | None) -> ChosenRenderer | None:
 
 
 def _make(out: Path) -> None:
+    from taxinet_ros.files.atomic import make_folder
+
     try:
         make_folder(out)
     except OSError as error:
@@ -124,8 +136,10 @@ def _make(out: Path) -> None:
 
 def _write(found: Explanation, out: Path) -> Path:
     """Write images, JSON and page; return the page's path."""
+    from taxinet_ros.analysis.explain.report import explain_json, explain_report
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import write_pictures
+    from taxinet_ros.files.atomic import write_atomically
 
     report = explain_report(found)
     write_pictures(report, out)

@@ -6,102 +6,130 @@ import dataclasses
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import pandas as pd
+import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.one_run.fork_picture import (
-    Shown,
-    fork_picture,
-    shown_steps,
-    sweep_picture,
-)
-from taxinet_ros.analysis.report.pictures import LIGHT, write_png
-from taxinet_ros.api.fork import MOVES, Past, find_rescue, fork_past, read_past
-from taxinet_ros.api.run import Run
-from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
-from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
-from taxinet_ros.core.scenario_fields import BY_KEY, by_key
-from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.cli.completion import complete_setting
+from taxinet_ros.cli.options import JsonOption, RunOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder, read_settings
+
+if TYPE_CHECKING:
+    from taxinet_ros.api.fork import Past
+    from taxinet_ros.api.run import Run
+    from taxinet_ros.bag.run.recording import Recording
 
 _GAIN = 'steering.'
 _MOST_POINTS = 1000
 _SHORT_MOVES = {'cte': 'cte_m', 'heading': 'heading_deg', 'distance': 'distance_m',
                 'speed': 'speed_mps'}
-_WORDS = {Outcome.PASS: 'satisfied', Outcome.FAIL: 'violated'}
+_WORDS = {'PASS': 'satisfied', 'FAIL': 'violated'}
 
 
-@dataclass(frozen=True, kw_only=True)
-class ForkOptions:
-    """Options of ``taxinet fork``.
+def fork(
+    bag: Annotated[
+        Path, typer.Argument(metavar='BAG', help='folder of a run, usually a counterexample')
+    ],
+    run_id: RunOption = None,
+    at: Annotated[
+        float | None, typer.Option(metavar='SECONDS', help='from when it is changed')
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set', metavar='KEY=VALUE',
+            help='scenario value (rain=0, clouds=clear, wind_speed=6, …) or gain '
+            '(steering.heading_gain=1.2) from then on; repeatable',
+            autocompletion=complete_setting,
+        ),
+    ] = None,
+    state: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='OFFSET=VALUE',
+            help='place the aircraft anew, off by cte_m, heading_deg, distance_m or speed_mps: '
+            'cte_m=+0.5 is half a metre left; repeatable',
+        ),
+    ] = None,
+    perception: Annotated[
+        str | None,
+        typer.Option(metavar='WORD|FILE', help="from then on (default: the run's)"),
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(metavar='WORD|FILE', help="from then on (default: the run's)"),
+    ] = None,
+    sweep: Annotated[
+        str | None,
+        typer.Option(
+            metavar='KEY=LOW:HIGH:STEP', help='robustness over a value changed then, rain=0:100:5'
+        ),
+    ] = None,
+    find: Annotated[
+        bool,
+        typer.Option(
+            '--find', help='the last moment at which the change (default: --perception truth) '
+            'still saves the run'
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help='output folder for bag and picture; must be new')
+    ] = None,
+    images: Annotated[
+        str, typer.Option(help='camera frames in the new bag: all or none')
+    ] = 'all',
+    as_json: JsonOption = False,
+) -> int:
+    """Repeat a recorded run up to a moment, and go on in a changed world.
 
-    Attributes:
-        at_s: when to fork [s]; None only with ``find``.
-        settings, moved: ``KEY=VALUE`` of the changed scene, of the moved aircraft.
-        perception, controller: from the fork on; None: the run's own.
-        sweep: ``KEY=LOW:HIGH:STEP``, or None.
-        find: whether to bisect the last moment at which the change saves the run.
-        out: new folder; None: one below ``bags/``.
-        images: whether the new bag has camera frames.
-        as_json: print JSON.
+    Up to the moment the run is repeated to the bit, which is checked; then the scene, the place of
+    the aircraft, the perception or the controller changes. Writes a bag, and a picture of both
+    runs. Exit code 1 if the forked run violates its requirements.
     """
+    from taxinet_ros.api.fork import fork_past, read_past
+    from taxinet_ros.cli.bag.input import readable_run
+    from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
-    at_s: float | None
-    settings: Sequence[str]
-    moved: Sequence[str]
-    perception: str | None
-    controller: str | None
-    sweep: str | None
-    find: bool
-    out: Path | None
-    images: bool
-    as_json: bool
-
-
-def run_fork(recording: Recording, options: ForkOptions) -> int:
-    """Fork the run as asked, write bag and pictures, and print the result.
-
-    Returns:
-        Exit code: 0 satisfied, 1 violated; of a sweep 0.
-
-    Raises:
-        UsageError: bad input, or the run cannot be repeated.
-    """
-    console = Console(highlight=False, stderr=options.as_json)
-    if options.find == (options.at_s is not None):
+    if images not in ('all', 'none'):
+        raise UsageError(f'--images {images}: unknown; known: all, none')
+    if find == (at is not None):
         raise UsageError('fork: give a moment by --at, or let --find search for it; one of them')
-    if options.find and options.sweep:
+    if find and sweep:
         raise UsageError('fork: --sweep and --find do not go together; leave one out')
-    with readable_bags():
+    console = Console(highlight=False, stderr=as_json)
+    with readable_run(bag, run_id) as recording:
         past = read_past(recording)
-        change = _change(recording, options)
-        out = options.out or new_folder(DEFAULT_ROOT / f'fork-{recording.run_id}')
+        saved_by = 'truth' if find and not (settings or state or controller) else None
+        change = _change(
+            recording, settings or (), state or (), perception or saved_by, controller)
+        out = out or new_folder(DEFAULT_ROOT / f'fork-{recording.run_id}')
         check_new(out)
-        if options.sweep:
-            return _sweep(past, change, options, out, console)
-        if options.find:
-            return _find(past, change, options, out, console)
-        assert options.at_s is not None
-        done = fork_past(past, at_s=options.at_s, **change)
-        told = _written(past, done, change, out, images=options.images)
-    if options.as_json:
+        if at is None:
+            return _find(past, change, out, console, images=images == 'all', as_json=as_json)
+        if sweep:
+            return _sweep(past, change, at, sweep, out, console, as_json=as_json)
+        done = fork_past(past, at_s=at, **change)
+        told = _written(past, done, change, out, images=images == 'all')
+    if as_json:
         print(json.dumps(told, indent=2, allow_nan=False))
     _say(console, told)
-    return ExitCode.VIOLATED if done.outcome is Outcome.FAIL else ExitCode.OK
+    return ExitCode.VIOLATED if done.outcome == 'FAIL' else ExitCode.OK
 
 
-def _change(recording: Recording, options: ForkOptions) -> dict[str, Any]:
+def _change(
+    recording: Recording, texts: Sequence[str], moves: Sequence[str], perception: str | None,
+    controller: str | None,
+) -> dict[str, Any]:
     """The change as arguments of :func:`fork_past`."""
+    from taxinet_ros.api.fork import MOVES
+    from taxinet_ros.cli.bag.input import controller_of, perception_of
+    from taxinet_ros.core.motion.controller import typed_gain
+    from taxinet_ros.trials.options import read_settings
+
     run = recording.run
-    settings: dict[str, Any] = dict(read_settings(options.settings))
+    settings: dict[str, Any] = dict(read_settings(texts))
     for name, value in settings.items():
         if name.startswith(_GAIN):
             try:
@@ -109,7 +137,7 @@ def _change(recording: Recording, options: ForkOptions) -> dict[str, Any]:
             except UsageError as error:
                 raise UsageError(f'--set {error}') from None
     moved: dict[str, float] = {}
-    for one in options.moved:
+    for one in moves:
         name, _, value = one.partition('=')
         key = _SHORT_MOVES.get(name, name)
         if key not in MOVES or key in moved:
@@ -117,13 +145,10 @@ def _change(recording: Recording, options: ForkOptions) -> dict[str, Any]:
                 f'--state {one}: expected an offset once, of {", ".join(MOVES)}, as in cte_m=+0.5'
             )
         moved[key] = _number(f'--state {name}', value)
-    perception = options.perception
-    if perception is None and options.find and not (settings or moved or options.controller):
-        perception = 'truth'
     word, _ = perception_of(run, perception)
     return {
         'settings': settings, 'moved': moved, 'perception': perception and word,
-        'controller': options.controller and controller_of(run, options.controller),
+        'controller': controller and controller_of(run, controller),
     }
 
 
@@ -138,8 +163,12 @@ def _number(what: str, text: str) -> float:
 
 
 def _find(
-    past: Past, change: dict[str, Any], options: ForkOptions, out: Path, console: Console
+    past: Past, change: dict[str, Any], out: Path, console: Console, *, images: bool,
+    as_json: bool,
 ) -> int:
+    from taxinet_ros.api.fork import find_rescue
+    from taxinet_ros.cli.progress import stage_bars
+
     with stage_bars(console) as show:
         done = 0
 
@@ -155,8 +184,8 @@ def _find(
         'first_lost_s': found.lost_s, 'saved_later_s': list(found.later_s), 'forks': found.tried,
     }
     if found.saved is not None:
-        told |= _written(past, found.saved, change, out, images=options.images)
-    if options.as_json:
+        told |= _written(past, found.saved, change, out, images=images)
+    if as_json:
         print(json.dumps(told, indent=2, allow_nan=False))
     if found.saved is None:
         console.print(
@@ -184,11 +213,18 @@ def _find(
 
 
 def _sweep(
-    past: Past, change: dict[str, Any], options: ForkOptions, out: Path, console: Console
+    past: Past, change: dict[str, Any], at_s: float, sweep: str, out: Path, console: Console, *,
+    as_json: bool,
 ) -> int:
-    assert options.sweep is not None
-    assert options.at_s is not None
-    key, values = sweep_values(options.sweep)
+    import pandas as pd
+
+    from taxinet_ros.analysis.one_run.fork_picture import sweep_picture
+    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.api.fork import fork_past
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.files.atomic import write_atomically
+
+    key, values = sweep_values(sweep)
     if key in change['settings']:
         raise UsageError(f'--sweep {key}: is given by --set too; leave one out')
     recorded = _value_before(past, key)
@@ -198,7 +234,7 @@ def _sweep(
             settings = dict(change['settings'])
             if value != recorded:  # as recorded is no change, but is a point of the curve
                 settings[key] = value
-            done = fork_past(past, at_s=options.at_s, **{**change, 'settings': settings})
+            done = fork_past(past, at_s=at_s, **{**change, 'settings': settings})
             headline = next(iter(done.rho))
             interval = done.rho[headline]
             rows.append({
@@ -217,14 +253,14 @@ def _sweep(
         sweep_picture(
             list(values), [(row['rho_lower'], row['rho_upper']) for row in rows],
             label=_label(key), headline=headline, before=(recorded, rho_before),
-            title=f'{past.recording.run_id}, changed at {options.at_s:g} s',
+            title=f'{past.recording.run_id}, changed at {at_s:g} s',
         ), out, LIGHT,
     )
-    if options.as_json:
+    if as_json:
         print(json.dumps({'key': key, 'headline': headline, 'points': rows}, indent=2))
     for row in rows:
         console.print(
-            f'{key}={row[key]:g}: {_WORDS.get(Outcome(row["outcome"]), row["outcome"])}, '
+            f'{key}={row[key]:g}: {_outcome_words(row["outcome"])}, '
             f'{headline} {row["rho_lower"]:+.3f}', soft_wrap=True, markup=False,
         )
     console.print(f'table: {out / "sweep.csv"}; picture: {picture}', soft_wrap=True, markup=False)
@@ -237,6 +273,8 @@ def sweep_values(text: str) -> tuple[str, tuple[float, ...]]:
     Raises:
         UsageError: it has another form, the key is no number, or there are too many values.
     """
+    from taxinet_ros.core.scenario_fields import BY_KEY, by_key
+
     name, _, span = text.partition('=')
     key = next(iter(by_key({name: None})))
     if key not in BY_KEY and not key.startswith(_GAIN):
@@ -255,6 +293,8 @@ def sweep_values(text: str) -> tuple[str, tuple[float, ...]]:
 
 
 def _value_before(past: Past, key: str) -> float | None:
+    from taxinet_ros.core.motion.controller import SteeringGains
+
     run = past.recording.run
     if key.startswith(_GAIN):
         usual = dataclasses.asdict(SteeringGains())
@@ -264,6 +304,8 @@ def _value_before(past: Past, key: str) -> float | None:
 
 
 def _label(key: str) -> str:
+    from taxinet_ros.core.scenario_fields import BY_KEY
+
     if key in BY_KEY:
         field = BY_KEY[key]
         return f'{field.title} [{field.unit}]' if field.unit else field.title
@@ -272,6 +314,8 @@ def _label(key: str) -> str:
 
 def _change_words(past: Past, done: Run | None, change: dict[str, Any]) -> str:
     """What changes at the fork, for people."""
+    from taxinet_ros.core.scenario_fields import BY_KEY
+
     words = []
     before = past.recording.run.request.scenario.to_human()
     for name, value in change['settings'].items():
@@ -297,6 +341,10 @@ def _written(
     past: Past, done: Run, change: dict[str, Any], out: Path, *, images: bool
 ) -> dict[str, Any]:
     """Write bag and picture; what was done, as plain values."""
+    from taxinet_ros.analysis.one_run.fork_picture import Shown, fork_picture, shown_steps
+    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.bag.run.recording import open_recording
+
     fork, words = done.fork_of, _change_words(past, done, change)
     assert fork is not None
     out.mkdir(parents=True, exist_ok=True)
@@ -337,7 +385,7 @@ def _ends(interval: Any) -> list[float | None]:
 
 
 def _outcome_words(outcome: str) -> str:
-    return _WORDS.get(Outcome(outcome), outcome) if outcome else 'not judged'
+    return _WORDS.get(outcome, outcome) if outcome else 'not judged'
 
 
 def _say(console: Console, told: dict[str, Any]) -> None:

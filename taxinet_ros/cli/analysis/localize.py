@@ -5,41 +5,73 @@ from __future__ import annotations
 import contextlib
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.fault_localisation import (
-    JSON_NAME,
-    Localisation,
-    localisation_json,
-    localisation_of,
-    localisation_report,
-    localisation_sentences,
-    worst_cases,
-    write_cases,
-)
-from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.options import CampaignArgument, JsonOption, ProcessesCountOption
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.files.record import RECORD_NAME
-from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.processes.interrupts import interrupts
-from taxinet_ros.trials.past_runs.localisation import LocalizeOptions, localize
-from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
-from taxinet_ros.trials.record.facts import stack_difference
+
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.fault_localisation import Localisation
+    from taxinet_ros.trials.past_runs.localisation import LocalizeOptions
+    from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+
+
+def localize(
+    campaign: CampaignArgument,
+    runs: Annotated[
+        int | None,
+        typer.Option(help='maximum number of failed runs to examine, evenly spread'),
+    ] = None,
+    substitutions: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--with', metavar='SUBSTITUTION',
+            help='truth, truth-heading, truth-cte (default: these three), '
+            'delayed:SECONDS, truth-delayed:SECONDS or noisy:SIGMA_M; repeatable',
+        ),
+    ] = None,
+    workers: ProcessesCountOption = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option(help='output folder for table and page; finished trials in it are kept'),
+    ] = None,
+    perception: Annotated[
+        str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Find which part causes failures: network or controller.
+
+    Reruns a campaign's failed runs unchanged and with the truth in place of the whole estimate, of
+    its heading error only and of its cross-track error only. After an interrupt, the same command
+    continues.
+    """
+    from taxinet_ros.trials.past_runs.localisation import make_localize_options
+    from taxinet_ros.trials.record.facts import missing_packages_named
+
+    with missing_packages_named(campaign):
+        options = make_localize_options(
+            campaign, runs=runs, words=substitutions or (), workers=workers, out=out,
+            perception=perception,
+        )
+    return run_localize(options, as_json=as_json)
 
 
 def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
-    """Run the trials, write the results and print a summary.
+    """Run the trials, write the results and print a summary; return the exit code."""
+    from taxinet_ros.analysis.fault_localisation import (
+        localisation_json,
+        localisation_of,
+        localisation_sentences,
+    )
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.processes.interrupts import interrupts
+    from taxinet_ros.trials.past_runs.localisation import localize
+    from taxinet_ros.trials.record.facts import stack_difference
 
-    Returns:
-        Exit code: 0 done, 130 interrupted; the same command continues.
-
-    Raises:
-        UsageError: bad input.
-        InfraError: a worker process died.
-    """
     console = Console(highlight=False, stderr=as_json)
     console.print(_heading(options), soft_wrap=True, markup=False)
     if warning := stack_difference(options.campaign.facts, str(options.campaign.folder)):
@@ -79,8 +111,19 @@ def _heading(options: LocalizeOptions) -> str:
 
 
 def _write(found: Localisation, campaign: RecordedCampaign, out: Path) -> list[Path]:
+    from taxinet_ros.analysis.fault_localisation import (
+        JSON_NAME,
+        localisation_json,
+        localisation_report,
+        worst_cases,
+        write_cases,
+    )
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.bag.errors import BagError
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.files.record import RECORD_NAME
+    from taxinet_ros.files.sealed_json import write_sealed
 
     worst = worst_cases(found, campaign.folder)
     for case in worst:

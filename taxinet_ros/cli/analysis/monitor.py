@@ -1,4 +1,4 @@
-"""``taxinet monitor`` and ``spec``: evaluate requirements on recorded runs; check requirements."""
+"""``taxinet monitor``: evaluate requirements on recorded runs."""
 
 from __future__ import annotations
 
@@ -10,81 +10,110 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.console import Console
 from rich.text import Text
 
-from taxinet_ros.bag.check.judge import JudgedBag, judge_bags
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.layout import STORAGE_ID
-from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict, judge_spec, signals_of_specs
-from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.bag.run.samples import run_samples
-from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.motion.controller import SteeringGains
-from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
-from taxinet_ros.core.pacing.timing import timing_words
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.verdict.judge import SpecCheck, check_specs, describe_specs, signal_ranges
+from taxinet_ros.cli.options import BoundOption, JsonOption, RateOption, RunOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.trials.options import (
-    check_assumptions,
-    check_assumptions_read,
-    read_specs,
-    split_settings,
-)
-from taxinet_ros.trials.past_runs.added_requirements import (
-    add_requirements,
-    addable,
-    campaign_bags,
-)
-from taxinet_ros.trials.past_runs.judged_run import BagPlaces
-from taxinet_ros.trials.record.facts import is_campaign
-from taxinet_ros.trials.summary import requirement_lines
 
-
-def show_specs(
-    formulas: Iterable[str], *, duration_s: float, settings: Iterable[str], as_json: bool
-) -> None:
-    """Print how requirements are parsed, with warnings.
-
-    Args:
-        formulas: requirements as text, or files of them.
-        duration_s: length of the runs to be judged [s].
-        settings: controller gains, ``steering.<gain>=value``.
-        as_json: print one JSON document.
-
-    Raises:
-        UsageError: one is invalid or cannot be decided on runs of this length.
-    """
-    specs = [parse_spec(text) for text in read_specs(formulas)]
-    others, gains = split_settings(settings)
-    if others:
-        raise UsageError(f'--set {next(iter(others))}: only controller gains apply here')
-    found = check_specs(specs, Scenario(duration_s=duration_s), SteeringGains(**gains))
-    if as_json:
-        print(json.dumps({
-            'specs': [
-                {'spec': spec.name, 'formula': spec.text, 'understood': line}
-                for spec, line in zip(specs, found.lines, strict=True)
-            ],
-            'warnings': list(found.warnings),
-        }, indent=2))
-        return
-    for line in requirement_lines(found):
-        Console(highlight=False).print(line, soft_wrap=True)
-
+if TYPE_CHECKING:
+    from taxinet_ros.bag.check.judge import JudgedBag
+    from taxinet_ros.bag.run.judging import SpecVerdict
+    from taxinet_ros.core.motion.controller import SteeringGains
+    from taxinet_ros.core.mtl import Assumptions, Spec
+    from taxinet_ros.core.scenario import Scenario
 
 _STYLES = {
-    BagVerdict.SATISFIED: 'green', BagVerdict.VIOLATED: 'red', BagVerdict.MARGINAL: 'red',
-    BagVerdict.INCOMPLETE: 'yellow', BagVerdict.INVALID: 'bold magenta',
-    BagVerdict.UNCLEAR: 'yellow',
+    'SATISFIED': 'green', 'VIOLATED': 'red', 'MARGINAL': 'red', 'INCOMPLETE': 'yellow',
+    'INVALID': 'bold magenta', 'UNCLEAR': 'yellow',
 }
+"""Styles of the words of a :class:`.BagVerdict`."""
+_PICTURE = '.png'
+
+
+def monitor(
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar='BAG...', help='folders of runs, .mcap files, or folders of campaigns'
+        ),
+    ],
+    spec: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--spec', metavar='FORMULA',
+            help='phi_eventually, phi_always, on_runway, usable, NAME=FORMULA, a formula, or a '
+            "YAML file of them; repeatable; default: the run's own",
+        ),
+    ] = None,
+    run_id: RunOption = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='FILE.png|DIR', writable=True,
+            help='PNG plot of signals, bounds and robustness over time; a folder for several bags',
+        ),
+    ] = None,
+    bound: BoundOption = None,
+    rate: RateOption = None,
+    add: Annotated[
+        bool, typer.Option('--add', help="add a column for each new formula to a campaign's table")
+    ] = False,
+    as_json: JsonOption = False,
+    workers: Annotated[int, typer.Option(min=1, help='worker processes; same results')] = 2,
+) -> int:
+    """Judge recorded runs by their own requirements or by new ones.
+
+    Needs neither ROS nor camera frames. A bag of several runs, as written by ros2 bag record, gets
+    one verdict per run. Re-evaluating a run's own formula reproduces the recorded robustness bit
+    for bit. Exit codes: 0 all satisfied, 1 some violated, 2 bad input, 3 some bag is incomplete,
+    damaged or inconsistent with its recorded verdict.
+    """
+    from taxinet_ros.core.mtl import parse_spec
+    from taxinet_ros.trials.options import check_assumptions, read_specs
+    from taxinet_ros.trials.past_runs.added_requirements import add_requirements, addable
+
+    chosen = [parse_spec(text) for text in read_specs(spec or ())]
+    vouched = check_assumptions(bound or (), rate or (), chosen) if bound or rate else None
+    found = {place: _bags(place) for place in bags}
+    paths = list(dict.fromkeys(bag for group in found.values() for bag in group))
+    if run_id is not None and len(paths) > 1:
+        raise UsageError(f'--run {run_id}: {len(paths)} bags given; name the one with this run')
+    to_add = {place: addable(place, chosen) for place in bags} if add else {}
+    if add and not chosen:
+        raise UsageError('--add: name the requirement to add with --spec')
+    told = _RequirementNotes(chosen)
+    if plot is not None:
+        _check_plot(plot, paths)
+    judged = _judged(
+        paths, chosen, workers, vouched, as_json=as_json, named=bags, run=run_id, told=told,
+    )
+    if plot is not None:
+        _check_one(plot, judged)
+    notes = []
+    for place, new in to_add.items():
+        counts = add_requirements(place, new, {bag.path: bag for bag in judged if not bag.run})
+        notes += [f'{place}: rho_{name} added for {count} runs' for name, count in counts.items()]
+    if plot is not None:
+        notes += [f'picture: {_draw(bag, vouched, plot)}' for bag in judged
+                  if bag.verdicts and bag.end_s >= 0]
+    if as_json:
+        print(as_document(judged, told.warnings))
+    else:
+        lines = summary_lines(judged) if len(judged) > 1 else []
+        for line in (*lines, *notes):
+            Console(highlight=False).print(line, soft_wrap=True, markup=False)
+    return _exit_code(judged)
 
 
 def bag_lines(bag: JudgedBag) -> Iterator[Text]:
     """One line per requirement, and one for each problem with the bag."""
+    from taxinet_ros.bag.run.judging import BagVerdict
+
     name = bag.name
     width = max((len(one.spec.name) for one in bag.verdicts), default=0)
     for one in bag.verdicts:
@@ -115,6 +144,9 @@ def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
 
     Runs with different timing are counted separately.
     """
+    from taxinet_ros.bag.run.judging import BagVerdict
+    from taxinet_ros.core.pacing.timing import timing_words
+
     lines = []
     unit = 'runs' if any(bag.run for bag in bags) else 'bags'
     groups = dict.fromkeys((one.spec.name, bag.timing) for bag in bags for one in bag.verdicts)
@@ -182,70 +214,12 @@ def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-_PICTURE = '.png'
-
-
-def run_monitor(
-    places: Sequence[Path], *, specs: Iterable[str], plot: Path | None, add: bool, as_json: bool,
-    workers: int, bounds: Sequence[str] = (), rates: Sequence[str] = (), run: str | None = None,
-) -> int:
-    """Judge bags and print the verdicts.
-
-    Args:
-        places: run folders, ``.mcap`` files, or folders of campaigns.
-        specs: requirements as text or files; empty: each bag's own.
-        plot: PNG file, or a folder for several bags.
-        add: add the requirements to the campaigns' tables.
-        as_json: print one JSON document.
-        workers: worker processes.
-        bounds: assumed ranges of signals; without bounds and rates, those recorded in each bag.
-        rates: assumed maximum rates of change per second.
-        run: which run of the one bag named; None: all.
-
-    Returns:
-        Exit code: 1 if a run in a bag of several violates a requirement; 3 if a bag is incomplete,
-        damaged, or inconsistent with its recorded verdict; else 1 if a requirement is violated;
-        else 0.
-
-    Raises:
-        UsageError: bad input.
-        InfraError: a worker process died.
-    """
-    chosen = [parse_spec(text) for text in read_specs(specs)]
-    vouched = check_assumptions(bounds, rates, chosen) if bounds or rates else None
-    found = {place: _bags(place) for place in places}
-    bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
-    if run is not None and len(bags) > 1:
-        raise UsageError(f'--run {run}: {len(bags)} bags given; name the one with this run')
-    to_add = {place: addable(place, chosen) for place in places} if add else {}
-    if add and not chosen:
-        raise UsageError('--add: name the requirement to add with --spec')
-    told = _RequirementNotes(chosen)
-    if plot is not None:
-        _check_plot(plot, bags)
-    judged = _judged(
-        bags, chosen, workers, vouched, as_json=as_json, named=places, run=run, told=told,
-    )
-    if plot is not None:
-        _check_one(plot, judged)
-    notes = []
-    for place, new in to_add.items():
-        counts = add_requirements(place, new, {bag.path: bag for bag in judged if not bag.run})
-        notes += [f'{place}: rho_{name} added for {count} runs' for name, count in counts.items()]
-    if plot is not None:
-        notes += [f'picture: {_draw(bag, vouched, plot)}' for bag in judged
-                  if bag.verdicts and bag.end_s >= 0]
-    if as_json:
-        print(as_document(judged, told.warnings))
-    else:
-        lines = summary_lines(judged) if len(judged) > 1 else []
-        for line in (*lines, *notes):
-            Console(highlight=False).print(line, soft_wrap=True, markup=False)
-    return _exit_code(judged)
-
-
 def _bags(place: Path) -> list[Path]:
     """The bags at a given path."""
+    from taxinet_ros.bag.layout import STORAGE_ID
+    from taxinet_ros.trials.past_runs.added_requirements import campaign_bags
+    from taxinet_ros.trials.record.facts import is_campaign
+
     if place.is_file():
         return [place]
     if not place.is_dir():
@@ -265,6 +239,11 @@ def _judged(
     as_json: bool, named: Sequence[Path], run: str | None, told: _RequirementNotes,
 ) -> list[JudgedBag]:
     """Judge all bags and print each verdict as soon as it is available."""
+    from taxinet_ros.bag.check.judge import judge_bags
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.trials.past_runs.judged_run import BagPlaces
+
     console = Console(highlight=False, stderr=as_json)
     chosen = None if run is None else open_recording(bags[0]).choose(run).name
     if vouched is not None and not specs:
@@ -297,6 +276,11 @@ def _check_own_read(vouched: Assumptions, bags: Sequence[Path], run: str | None)
     Raises:
         UsageError: none does.
     """
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.bag.run.samples import run_samples
+    from taxinet_ros.core.mtl import parse_spec
+    from taxinet_ros.trials.options import check_assumptions_read
+
     own: dict[str, Spec] = {}
     for bag in bags:
         with contextlib.suppress(BagError):
@@ -321,6 +305,9 @@ class _RequirementNotes:
 
     def of(self, bag: JudgedBag) -> list[Text]:
         """Lines to print before the verdicts of a bag."""
+        from taxinet_ros.core.verdict.judge import SpecCheck, describe_specs, signal_ranges
+        from taxinet_ros.trials.summary import requirement_lines
+
         if not bag.duration_s > 0:
             return []
         recorded = bag.duration_s, *_ran_with(bag.path)
@@ -339,6 +326,9 @@ class _RequirementNotes:
 
 def _ran_with(bag: Path) -> tuple[SteeringGains, Scenario] | tuple[None, None]:
     """Controller gains and scenario of a bag; None if it does not say which controller ran."""
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.core.motion.controller import SteeringGains
+
     try:
         run = open_recording(bag).run
         return SteeringGains(**run.gains), run.request.scenario
@@ -378,6 +368,9 @@ def _check_one(plot: Path, judged: Sequence[JudgedBag]) -> None:
 
 def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     from taxinet_ros.analysis.one_run.robustness import JudgedSpec, robustness_picture
+    from taxinet_ros.bag.run.judging import judge_spec, signals_of_specs
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.bag.run.samples import run_samples
 
     specs = [one.spec for one in bag.verdicts]
     runs = run_samples(open_recording(bag.path), signals_of_specs(specs))

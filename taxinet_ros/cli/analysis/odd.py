@@ -2,97 +2,68 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
 from rich.table import Table
 
-from taxinet_ros.analysis.odd.coverage import (
-    STRENGTHS,
-    OddCoverage,
-    coverage_json,
-    odd_coverage,
-)
-from taxinet_ros.analysis.odd.picture import coverage_picture
-from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
-from taxinet_ros.analysis.runs.campaign import (
-    CampaignRuns,
-    GroupRate,
-    distinct_labels,
-    read_runs,
-)
-from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES
+from taxinet_ros.cli.help import command_group
+from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.scenes.programs import SUFFIX, known_programs
-from taxinet_ros.trials.odd.odd_file import Odd, find_odd, read_odd
-from taxinet_ros.trials.odd.openodd import binding_path, openodd_texts
-from taxinet_ros.trials.run_command import RunSettings
+
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.odd.coverage import OddCoverage
+    from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
+    from taxinet_ros.trials.odd.odd_file import Odd
 
 _WIDTH = 110
 _NAMES = {1: 'cells', 2: 'pairs', 3: 'triples'}
 
-
-@dataclass(frozen=True, kw_only=True)
-class CoverageOptions:
-    """Options of ``taxinet odd coverage``.
-
-    Attributes:
-        odd: name or file of the ODD.
-        spec: formula that defines failure; None for the headline.
-        below: also count the combinations that fail less often than this share; or None.
-        strength: largest number of cells in a combination.
-        plot: picture to write, or None.
-        as_json: print JSON.
-    """
-
-    odd: str
-    spec: str | None
-    below: float | None
-    strength: int
-    plot: Path | None
-    as_json: bool
+odd_app = command_group('Operational design domains (ODD), and what campaigns cover of one.')
+_OddArgument = Annotated[
+    str, typer.Argument(metavar='ODD', help='name of a shipped ODD, or a YAML file (docs/odd.md)')
+]
 
 
-def show_odd(word: str, *, as_json: bool) -> int:
-    """Check an ODD and print it.
+@odd_app.command('show')
+def show(odd: _OddArgument, as_json: JsonOption = False) -> int:
+    """Check an ODD, and print its parameters, cells and exclusions."""
+    from taxinet_ros.analysis.odd.coverage import STRENGTHS
+    from taxinet_ros.trials.odd.odd_file import find_odd, read_odd
 
-    Returns:
-        Exit code 0.
-
-    Raises:
-        UsageError: it has a mistake.
-    """
-    odd = read_odd(find_odd(word))
+    found = read_odd(find_odd(odd))
     counts = {
-        t: sum(int(mask.sum()) for mask in odd.feasible(t).values())
-        for t in STRENGTHS if t <= len(odd.parameters)
+        t: sum(int(mask.sum()) for mask in found.feasible(t).values())
+        for t in STRENGTHS if t <= len(found.parameters)
     }
     if as_json:
         print(json.dumps({
-            'name': odd.name, 'source': odd.source, 'sha256': odd.digest,
+            'name': found.name, 'source': found.source, 'sha256': found.digest,
             'parameters': [
                 {'key': one.key, 'unit': one.field.unit, 'source': one.source,
-                 'cells': [cell.label for cell in one.cells]} for one in odd.parameters
+                 'cells': [cell.label for cell in one.cells]} for one in found.parameters
             ],
-            'excluded': [{'when': one.text, 'why': one.why} for one in odd.exclusions],
+            'excluded': [{'when': one.text, 'why': one.why} for one in found.exclusions],
             'feasible': {_NAMES[t]: count for t, count in counts.items()},
         }, indent=2))
         return ExitCode.OK
     console = _console()
-    console.print(f'ODD {odd.name}' + (f': {odd.source}' if odd.source else ''), soft_wrap=True)
+    source = f': {found.source}' if found.source else ''
+    console.print(f'ODD {found.name}{source}', soft_wrap=True)
     table = Table(box=None, pad_edge=False)
     for heading in ('parameter', 'cells', 'source'):
         table.add_column(heading)
-    for one in odd.parameters:
+    for one in found.parameters:
         table.add_row(one.field.label, ', '.join(cell.label for cell in one.cells), one.source)
     console.print(table)
-    for exclusion in odd.exclusions:
+    for exclusion in found.exclusions:
         console.print(f'excluded: {exclusion.text} ({exclusion.why})', soft_wrap=True)
     console.print(
         'feasible: ' + ', '.join(f'{count:,} {_NAMES[t]}' for t, count in counts.items()),
@@ -101,63 +72,109 @@ def show_odd(word: str, *, as_json: bool) -> int:
     return ExitCode.OK
 
 
-def export_odd(word: str, out: Path) -> int:
-    """Write an ODD as OpenODD, with a binding file beside it.
+@odd_app.command('coverage')
+def coverage(
+    campaigns: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar='CAMPAIGN...', help='folders of campaigns, or .parquet tables, of one system'
+        ),
+    ],
+    odd: Annotated[
+        str, typer.Option(metavar='NAME|FILE.yaml', help='the operational design domain')
+    ],
+    spec: Annotated[
+        str | None,
+        typer.Option(metavar='NAME', help='formula that defines failure (default: the headline)'),
+    ] = None,
+    below: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='also count the cells and combinations that fail less often than '
+            'this, at 95 %'
+        ),
+    ] = None,
+    strength: Annotated[
+        int, typer.Option(min=1, max=3, help='largest number of cells in a combination')
+    ] = 3,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='FILE.png', writable=True, dir_okay=False, help='picture of cells and pairs '
+            'of cells'
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Measure what the judged runs of campaigns cover of an ODD.
 
-    Returns:
-        Exit code 0.
-
-    Raises:
-        UsageError: the ODD has a mistake or no form in OpenODD, or a file is there already.
+    Runs inside and outside; runs and failure rate of each cell; the share of all pairs and triples
+    of cells with a run; the gaps; the largest hole between runs; parameters that were never varied,
+    or that the ODD does not mention.
     """
-    odd = read_odd(find_odd(word))
+    from taxinet_ros.analysis.odd.coverage import STRENGTHS, coverage_json, odd_coverage
+    from taxinet_ros.analysis.odd.picture import coverage_picture
+    from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
+    from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+    from taxinet_ros.files.atomic import write_atomically
+    from taxinet_ros.trials.odd.odd_file import find_odd, read_odd
+
+    if below is not None and not 0 < below < 1:
+        raise UsageError(f'--below {below:g}: needs to be a share above 0 and below 1')
+    if plot is not None and (plot.suffix != '.png' or not plot.parent.is_dir() or plot.exists()):
+        raise UsageError(f'--plot {plot}: expected a new .png file in an existing folder')
+    domain = read_odd(find_odd(odd))
+    first = read_runs(campaigns[0], spec)
+    runs = [first, *(read_runs(path, first.spec) for path in campaigns[1:])]
+    found = odd_coverage(
+        domain, distinct_labels(runs), strengths=[t for t in STRENGTHS if t <= strength],
+        limit=below,
+    )
+    if as_json:
+        print(json.dumps(coverage_json(found), indent=2, allow_nan=False))
+    else:
+        _print(_console(), found, odd, runs)
+    if plot is not None:
+        write_atomically(plot, png_bytes(coverage_picture(found), LIGHT))
+        if not as_json:
+            print(f'picture: {plot}')
+    return ExitCode.OK
+
+
+@odd_app.command('export')
+def export(
+    odd: _OddArgument,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='FILE.yaml', writable=True, dir_okay=False, help='file to write; must be new'
+        ),
+    ],
+) -> int:
+    """Write an ODD as ASAM OpenODD 1.0 YAML, with a binding file for openodd-py beside it."""
+    from taxinet_ros.files.atomic import write_atomically
+    from taxinet_ros.trials.odd.odd_file import find_odd, read_odd
+    from taxinet_ros.trials.odd.openodd import binding_path, openodd_texts
+
+    found = read_odd(find_odd(odd))
     paths = (out, binding_path(out))
     for path in paths:
         if path.exists():
             raise UsageError(f'--out {path}: already exists; name a new file')
     if not out.parent.is_dir():
         raise UsageError(f'--out {out}: no such folder: {out.parent}')
-    for path, text in zip(paths, openodd_texts(odd, out.name), strict=True):
+    for path, text in zip(paths, openodd_texts(found, out.name), strict=True):
         write_atomically(path, text)
     print(f'written: {paths[0]} (ASAM OpenODD 1.0), {paths[1].name} (for openodd-py)')
     return ExitCode.OK
 
 
-def run_coverage(campaigns: Sequence[Path], options: CoverageOptions) -> int:
-    """Measure what campaigns cover, print it, and draw it.
-
-    Returns:
-        Exit code 0.
-
-    Raises:
-        UsageError: bad input.
-    """
-    if options.below is not None and not 0 < options.below < 1:
-        raise UsageError(f'--below {options.below:g}: needs to be a share above 0 and below 1')
-    plot = options.plot
-    if plot is not None and (plot.suffix != '.png' or not plot.parent.is_dir() or plot.exists()):
-        raise UsageError(f'--plot {plot}: expected a new .png file in an existing folder')
-    odd = read_odd(find_odd(options.odd))
-    first = read_runs(campaigns[0], options.spec)
-    runs = [first, *(read_runs(path, first.spec) for path in campaigns[1:])]
-    found = odd_coverage(
-        odd, distinct_labels(runs), strengths=[t for t in STRENGTHS if t <= options.strength],
-        limit=options.below,
-    )
-    if options.as_json:
-        print(json.dumps(coverage_json(found), indent=2, allow_nan=False))
-    else:
-        _print(_console(), found, options, runs)
-    if plot is not None:
-        write_atomically(plot, png_bytes(coverage_picture(found), LIGHT))
-        if not options.as_json:
-            print(f'picture: {plot}')
-    return ExitCode.OK
-
-
 def _print(
-    console: Console, found: OddCoverage, options: CoverageOptions, runs: Sequence[CampaignRuns]
+    console: Console, found: OddCoverage, name: str, runs: Sequence[CampaignRuns]
 ) -> None:
+    """Print the coverage of an ODD, which the user calls by this name."""
+    from taxinet_ros.core.scenario_fields import BY_KEY
+
     odd = found.odd
     outside = found.judged - found.inside
     console.print(
@@ -193,7 +210,7 @@ def _print(
     open_pairs = next((one for one in found.strengths if one.covered < one.feasible), None)
     if open_pairs is not None:
         words = (
-            '--sampler', 'coverage', '--odd', options.odd, '--sampler-option',
+            '--sampler', 'coverage', '--odd', name, '--sampler-option',
             f'strength={open_pairs.t}',
         )
         command = _falsify_words(odd, runs, words)
@@ -202,6 +219,10 @@ def _print(
 
 def _falsify_words(odd: Odd, runs: Sequence[CampaignRuns], words: Sequence[str]) -> str:
     """The command that searches further as one campaign of a shipped program did; else in words."""
+    from taxinet_ros.core.scenario_fields import CATALOGUES
+    from taxinet_ros.scenes.programs import SUFFIX, known_programs
+    from taxinet_ros.trials.run_command import RunSettings
+
     one, program = runs[0], runs[0].program.removesuffix(SUFFIX)
     if len(runs) == 1 and one.facts and one.perception and program in known_programs():
         settings = RunSettings.from_facts(one.facts)
@@ -210,7 +231,7 @@ def _falsify_words(odd: Odd, runs: Sequence[CampaignRuns], words: Sequence[str])
             key: value for key, value in settings.values.items()
             if key not in [parameter.key for parameter in odd.parameters]
         }
-        settings = replace(settings, perception=one.perception, values=values)
+        settings = dataclasses.replace(settings, perception=one.perception, values=values)
         if not settings.timing.free and all(
             str(values[key]) in CATALOGUES[key].shipped for key in set(CATALOGUES) & set(values)
         ):
@@ -242,6 +263,8 @@ def _rate_words(rate: GroupRate) -> str:
 
 
 def _print_hole(console: Console, found: OddCoverage) -> None:
+    from taxinet_ros.core.scenario_fields import BY_KEY
+
     if found.hole is None:
         return
     where = ', '.join(f'{BY_KEY[key].label} {value}' for key, value in found.hole_words().items())
@@ -257,4 +280,3 @@ def _console() -> Console:
     if not console.is_terminal:
         console.width = _WIDTH
     return console
-

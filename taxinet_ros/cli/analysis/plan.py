@@ -4,52 +4,80 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.console import Console
 from rich.table import Table
 
-from taxinet_ros.analysis.gate import further_runs, further_words
-from taxinet_ros.analysis.plan import (
-    Claim,
-    Further,
-    Planned,
-    hopeless,
-    parse_so_far,
-    plan_claim,
-    two_sided,
-)
+from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.trials.rates import CONFIDENCE
-from taxinet_ros.trials.record.facts import recorded_rules
+
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.plan import Claim, Further, Planned
 
 _PAGE_WIDTH = 100
 
 
-def run_plan(
-    claim: Claim, folder: Path | None, *, so_far: str | None, as_json: bool
+def plan(
+    campaign: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar='[CAMPAIGN]', help='runs there are already, drawn by the program itself',
+            show_default=False,
+        ),
+    ] = None,
+    min_satisfaction: Annotated[
+        float | None,
+        typer.Option(metavar='SHARE', help='claim: at least this share of runs satisfy'),
+    ] = None,
+    max_off_runway: Annotated[
+        float | None,
+        typer.Option(metavar='SHARE', help='claim: at most this share of runs leave the runway'),
+    ] = None,
+    so_far: Annotated[
+        str | None,
+        typer.Option(metavar='RUNS:FAILURES', help='runs there are already, instead of CAMPAIGN'),
+    ] = None,
+    confidence: Annotated[float, typer.Option(help='confidence of the claim')] = 0.95,
+    failures: Annotated[
+        int | None, typer.Option(help='plan for up to so many failures (default: 0 to 3)')
+    ] = None,
+    if_true: Annotated[
+        float | None,
+        typer.Option(
+            metavar='SHARE', help='assumed true share, in the words of the claim: gives the chance '
+            'of each plan, and a sequential one'
+        ),
+    ] = None,
+    power: Annotated[
+        float, typer.Option(metavar='CHANCE', help='with --if-true: wanted chance to pass')
+    ] = 0.9,
+    as_json: JsonOption = False,
 ) -> int:
-    """Plan and print.
+    """Plan how many runs a claim takes, from the start or after those there are.
 
-    Args:
-        claim: the claim.
-        folder: of a campaign with runs there are already, or None.
-        so_far: ``RUNS:FAILURES`` instead, or None.
-        as_json: print JSON.
-
-    Returns:
-        Exit code 0.
-
-    Raises:
-        UsageError: the claim cannot be planned, or ``folder`` is no campaign that tells a rate.
+    Exact binomial numbers for each number of allowed failures, their chance to pass at a true
+    share, and the runs of a sequential test. Runs nothing.
     """
-    if folder is not None and so_far is not None:
+    from taxinet_ros.analysis.plan import Claim, parse_so_far, plan_claim
+    from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+    from taxinet_ros.trials.record.facts import recorded_rules
+    from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY, MIN_SATISFACTION
+
+    if (min_satisfaction is None) == (max_off_runway is None):
+        raise UsageError('plan: give one claim, --min-satisfaction or --max-off-runway')
+    if campaign is not None and so_far is not None:
         raise UsageError('plan: a campaign or --so-far, which stands for one; leave one out')
-    campaign = None if folder is None else open_campaign(folder)
-    planned = plan_claim(claim, campaign, None if so_far is None else parse_so_far(so_far))
+    threshold = max_off_runway if min_satisfaction is None else min_satisfaction
+    assert threshold is not None
+    claim = Claim(
+        criterion=MAX_OFF_RUNWAY if min_satisfaction is None else MIN_SATISFACTION,
+        threshold=threshold, confidence=confidence, failures=failures, if_true=if_true, power=power,
+    )
+    recorded = None if campaign is None else open_campaign(campaign)
+    planned = plan_claim(claim, recorded, None if so_far is None else parse_so_far(so_far))
     if as_json:
         print(json.dumps(_json(planned), indent=2, allow_nan=False))
         return ExitCode.OK
@@ -58,7 +86,7 @@ def run_plan(
         console.width = _PAGE_WIDTH
     _print(console, planned)
     if planned.found is not None:
-        rules = () if campaign is None else recorded_rules(campaign.facts)
+        rules = () if recorded is None else recorded_rules(recorded.facts)
         _print_further(console, planned, rules)
     return ExitCode.OK
 
@@ -111,6 +139,9 @@ def _print(console: Console, planned: Planned) -> None:
 def _print_further(
     console: Console, planned: Planned, rules: tuple[str, ...]
 ) -> None:
+    from taxinet_ros.analysis.gate import further_runs, further_words
+    from taxinet_ros.analysis.plan import hopeless, two_sided
+
     found, claim = planned.found, planned.claim
     assert found is not None
     low, high = two_sided(found)
@@ -149,7 +180,7 @@ def _print_further(
         console.print(f'{_further_words(planned.likely)}, if the true share is {_percent(share)}',
                       soft_wrap=True)
     if found.drawn_hits:
-        good = replace(
+        good = dataclasses.replace(
             found, hits=found.runs - found.hits, drawn_hits=found.drawn - found.drawn_hits)
         more = further_runs(good, 1 - claim.limit, claim.confidence)
         console.print(f'to decide: {further_words(good, more)}', soft_wrap=True)
@@ -166,6 +197,8 @@ def _print_further(
 
 def _gate(claim: Claim) -> str:
     """The command that judges the claim, without the campaign's name."""
+    from taxinet_ros.trials.rates import CONFIDENCE
+
     command = f'taxinet gate --{claim.criterion} {claim.threshold:.12g}'
     usual = claim.confidence == CONFIDENCE
     return command if usual else f'{command} --confidence {claim.confidence:g}'
@@ -185,6 +218,8 @@ def _further_words(one: Further) -> str:
 
 
 def _json(planned: Planned) -> dict[str, Any]:
+    from taxinet_ros.analysis.plan import hopeless, two_sided
+
     claim, found = planned.claim, planned.found
     told: dict[str, Any] = {
         'claim': dataclasses.asdict(claim),

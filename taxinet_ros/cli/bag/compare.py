@@ -4,34 +4,56 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
 
-from taxinet_ros.bag.check.compare import TopicComparison, compare_bags, first_step
-from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.cli.bag.input import warn_of_stacks
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.cli.options import BagArgument, RunOption
 from taxinet_ros.errors import UsageError
+
+if TYPE_CHECKING:
+    from taxinet_ros.bag.check.compare import TopicComparison
+    from taxinet_ros.bag.run.recording import Recording
 
 EQUAL, DIFFERENT = 0, 1
 
 
-def run_compare(
-    one: Recording, other: Recording, *, tolerance: float, skip: Collection[str]
+def compare(
+    bag: BagArgument,
+    other: Annotated[Path, typer.Argument(metavar='OTHER', help='the bag to compare with')],
+    tolerance: Annotated[
+        float, typer.Option(help='tolerance of floating-point values; 0: bit-identical')
+    ] = 0.0,
+    skip: Annotated[
+        list[str] | None,
+        typer.Option(metavar='TOPIC', help='topic to leave out (camera/image_raw, …); repeatable'),
+    ] = None,
+    run_id: RunOption = None,
+    other_run: Annotated[
+        str | None,
+        typer.Option(metavar='RUN_ID', help='which run of OTHER, if it holds several'),
+    ] = None,
 ) -> int:
-    """Compare two recordings and print the differences; exit code 1 if there are any."""
+    """Find the first difference between two bags: topic, step and field.
+
+    Run names are ignored. Exit code: 0 identical, 1 different, 2 bad input.
+    """
+    from taxinet_ros.bag.check.compare import compare_bags
+    from taxinet_ros.cli.bag.input import one_run, readable_bags, warn_of_stacks
+
     if not 0 <= tolerance < float('inf'):
         raise UsageError(f'--tolerance {tolerance:g}: needs to be 0 or more')
     console = Console(highlight=False)
-    left_out = _topics(skip, one, other)
-    topics = compare_bags(one, other, tolerance=tolerance, skip=left_out)
-    if not topics:
-        raise UsageError(f'{one.path} and {other.path}: no messages to compare')
-    warn_of_stacks(console, one.made_on, other.made_on)
-    print_comparison(console, topics, tolerance)
-    if not (one.name or other.name) and _bytes(one.path) == _bytes(other.path):
-        console.print('the files are byte-identical')
+    with readable_bags():
+        one, two = one_run(bag, run_id), one_run(other, other_run)
+        topics = compare_bags(one, two, tolerance=tolerance, skip=_topics(skip or (), one, two))
+        if not topics:
+            raise UsageError(f'{one.path} and {two.path}: no messages to compare')
+        warn_of_stacks(console, one.made_on, two.made_on)
+        print_comparison(console, topics, tolerance)
+        if not (one.name or two.name) and _bytes(one.path) == _bytes(two.path):
+            console.print('the files are byte-identical')
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
 
 
@@ -39,6 +61,9 @@ def print_comparison(
     console: Console, topics: Sequence[TopicComparison], tolerance: float
 ) -> None:
     """Print one line per differing topic, and a summary."""
+    from taxinet_ros.bag.check.compare import first_step
+    from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+
     differing = [topic for topic in topics if not topic.equal]
     within = f' within {tolerance:g}' if tolerance else ''
     messages = sum(max(topic.counts) for topic in topics)
@@ -81,4 +106,6 @@ def _topics(names: Collection[str], *bags: Recording) -> list[str]:
 
 
 def _bytes(bag: Path) -> list[bytes]:
+    from taxinet_ros.bag.layout import storage_files
+
     return [file.read_bytes() for file in storage_files(bag)]

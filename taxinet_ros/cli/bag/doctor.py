@@ -9,19 +9,29 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
 from rich.text import Text
 
-from taxinet_ros.bag.check.doctor import check_bag
-from taxinet_ros.bag.check.findings import Check, Finding
-from taxinet_ros.cli.bag.input import exit_code_of
+from taxinet_ros.cli.options import BagArgument, JsonOption
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.trials.doctor import Examination, examine
+
+if TYPE_CHECKING:
+    from taxinet_ros.bag.check.findings import Check, Finding
+    from taxinet_ros.trials.doctor import Examination
 
 
-def run_bag_doctor(bag: Path, *, as_json: bool) -> int:
-    """Check a bag and print the findings; exit code 0 nothing is wrong, 2 not readable, 3 wrong."""
+def bag_doctor(bag: BagArgument, as_json: JsonOption = False) -> int:
+    """Check a bag; report each problem, where it is and how to repair it.
+
+    Checks checksums, counts, stamps, type hashes, the completeness of every step, and the
+    verdict, with every figure in it, against the recorded truth.
+    """
+    from taxinet_ros.bag.check.doctor import check_bag
+    from taxinet_ros.cli.bag.input import exit_code_of
+
     def check() -> int:
         checks = check_bag(bag).checks
         _print_checks(bag, checks, as_json=as_json)
@@ -84,8 +94,34 @@ def _mend(finding: Finding, bag: Path) -> str:
     return finding.mend.replace('{bag}', shlex.quote(str(bag)))
 
 
-def run_results_doctor(folder: Path, *, as_json: bool) -> int:
-    """Check a folder and print one line per finding; exit code 3 if there is one."""
+def doctor(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar='CAMPAIGN',
+            help='folder of a campaign, experiment, dataset or study, or a folder that contains '
+            'some; without it, this machine is checked',
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Check this machine, or every file in a results folder.
+
+    Without a folder: Python, compiler, packages, ROS, messages, domain, discovery, memory, limits,
+    disk and a short run, each with its mend; exit code 4 if something is broken.
+
+    With a folder: checks every record, each bag against its row and each dataset image against its
+    label, makes tables again that do not say what their record says, and finds leftovers of killed
+    processes. Exit codes: 0 no
+    findings, 3 something is incomplete or damaged, 2 nothing to check. The command that made it
+    goes on with `--resume`.
+    """
+    if folder is None:
+        from taxinet_ros.cli.system import run_system_doctor
+
+        return run_system_doctor(as_json=as_json)
+    from taxinet_ros.trials.doctor import examine
+
     found = examine(folder, _show_bag_name)
     if sys.stderr.isatty():
         print('\r\033[K', end='', file=sys.stderr)

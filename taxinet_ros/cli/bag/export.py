@@ -4,36 +4,67 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import pandas as pd
+import typer
 
-from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.run.runs import is_run_topic
-from taxinet_ros.bag.run.tables import titles
-from taxinet_ros.cli.bag.input import exit_code_of, one_run
+from taxinet_ros.cli.options import BagArgument, RunOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.files.atomic import make_atomically
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from taxinet_ros.bag.run.recording import Recording
 
 TABLES = ('csv', 'parquet')
 FILMS = ('mp4', 'gif')
 _PICTURES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 
 
-def run_export(
-    bag: Path, out: Path, *, topics: Sequence[str], file_format: str | None, run: str | None = None
+def export(
+    bag: BagArgument,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='FILE|DIR', writable=True,
+            help='a new .csv, .parquet, .mp4 or .gif, or a folder for a table per topic',
+        ),
+    ],
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='TOPIC',
+            help='topic to export (taxi_command, …); repeatable (default: all except frames)',
+        ),
+    ] = None,
+    file_format: Annotated[
+        str | None,
+        typer.Option('--format', metavar='FORMAT', help='csv, parquet, mp4 or gif'),
+    ] = None,
+    run_id: RunOption = None,
 ) -> int:
-    """Write the requested files and print their paths; without topics, the trace or all topics."""
+    """Export topics as tables, or the run as a film.
+
+    A table has one row per message; nested fields become dotted column names. Without --topics, a
+    single file holds the run's trace, one row per control step. The film shows the camera frames
+    with error, estimate, steering and robustness interval.
+    """
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.bag.run.runs import is_run_topic
+    from taxinet_ros.cli.bag.input import exit_code_of, one_run
+
+    topics = topics or []
     kind = _format(out, file_format, topics)
     _check_new(out)
     if topics and not any(map(is_run_topic, topics)):  # Foreign topics: as recorded.
-        if run is not None:
+        if run_id is not None:
             raise UsageError(
-                f'--run {run}: has no effect on --topics {topics[0]}, which belongs to no run; '
+                f'--run {run_id}: has no effect on --topics {topics[0]}, which belongs to no run; '
                 'leave it out'
             )
         return exit_code_of(bag, lambda: _export(open_recording(bag), out, kind, topics))
 
-    return exit_code_of(bag, lambda: _export(one_run(bag, run), out, kind, topics))
+    return exit_code_of(bag, lambda: _export(one_run(bag, run_id), out, kind, topics))
 
 
 def _export(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
@@ -95,6 +126,9 @@ def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -
 
 
 def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
+    from taxinet_ros.bag.run.tables import titles
+    from taxinet_ros.files.atomic import make_atomically
+
     if kind == 'csv':
         # A CSV file has nowhere else to put units.
         titled = table.rename(columns=titles(table))

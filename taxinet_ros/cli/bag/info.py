@@ -7,38 +7,33 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.reader import BagInfo
-from taxinet_ros.bag.run.facts import NodeFacts, RunFacts, free_account, made_on
-from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.writer import FORK_METADATA, RUN_METADATA
-from taxinet_ros.cli.bag.input import exit_code_of
-from taxinet_ros.core.fork import fork_of_text
-from taxinet_ros.core.motion.controller import is_steering_law
-from taxinet_ros.core.pacing.free_run import free_run_line
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
-from taxinet_ros.core.provenance import words as stack_words
-from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
-from taxinet_ros.core.scenario_fields import BY_KEY, along_words, clock_words, unusual_words
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.cli.options import BagArgument, JsonOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.registry import KMWH
+
+if TYPE_CHECKING:
+    from taxinet_ros.bag.reader import BagInfo
+    from taxinet_ros.bag.run.facts import NodeFacts, RunFacts
+    from taxinet_ros.bag.run.recording import Recording
 
 _LABEL_WIDTH = 11
 _LONGEST_S = 86_400
 """Longest plausible recording [s]."""
 
 
-def show_info(bag: Path, *, as_json: bool) -> int:
-    """Print the contents of a bag; exit code 2 not readable, 3 unfinished or damaged."""
+def info(bag: BagArgument, as_json: JsonOption = False) -> int:
+    """Show the contents of a bag: run, scene, outcome, robustness, topics."""
+    from taxinet_ros.cli.bag.input import exit_code_of
+
     return exit_code_of(bag, lambda: _show(bag, as_json))
 
 
 def _show(bag: Path, as_json: bool) -> int:
+    from taxinet_ros.bag.run.recording import open_recording
+
     recording = open_recording(bag)
     info = recording.info
     if recording.plain or not recording.runs:
@@ -58,6 +53,11 @@ def _show(bag: Path, as_json: bool) -> int:
 def _run_lines(
     info: BagInfo, words: str, facts: RunFacts | None
 ) -> Iterator[tuple[str, str]]:
+    from taxinet_ros.bag.run.facts import free_account, made_on
+    from taxinet_ros.bag.writer import FORK_METADATA, RUN_METADATA
+    from taxinet_ros.core.pacing.free_run import free_run_line
+    from taxinet_ros.core.provenance import words as stack_words
+
     if facts is None:
         why = 'there is no scenario in it'
         yield 'run', f'{words}: {why}' if words else f'not from taxinet_ros: {why}'
@@ -87,6 +87,9 @@ def _run_lines(
 
 def _fork_words(text: str, facts: RunFacts) -> str:
     """What a forked run was forked from, and what changed then."""
+    from taxinet_ros.core.fork import fork_of_text
+    from taxinet_ros.core.scenario_fields import BY_KEY
+
     try:
         fork = fork_of_text(text)
     except UsageError as error:
@@ -105,6 +108,9 @@ def _fork_words(text: str, facts: RunFacts) -> str:
 
 def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:
     """Lines on perception, controller and world of a run."""
+    from taxinet_ros.core.motion.controller import is_steering_law
+    from taxinet_ros.registry import KMWH
+
     perception, law = nodes.get('perception'), nodes.get('steering_controller')
     if perception is not None:
         yield 'perception', _who(perception)
@@ -126,6 +132,9 @@ def _who(node: NodeFacts) -> str:
 
 
 def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]:
+    from taxinet_ros.bag.layout import storage_files
+    from taxinet_ros.core.types import NS_PER_S
+
     yield 'bag', 'whole' if info.complete else f'NOT WHOLE: {info.trouble}'
     if not info.complete:
         yield '', f'taxinet bag recover {info.path} --out NEW'
@@ -153,6 +162,10 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
 
 def scene_words(scene: Mapping[str, Any]) -> str:
     """One-line description of a scenario in display units."""
+    from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
+    from taxinet_ros.core.rig.catalogue import DEFAULT_CAMERA
+    from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
+
     rain = f', rain {scene["rain_percent"]:.0f} %' if scene['rain_percent'] else ''
     camera = '' if scene['camera'] == DEFAULT_CAMERA else f', camera {scene["camera"]}'
     place = '' if scene['place'] == DEFAULT_PLACE else f'{scene["place"]}, '
@@ -202,6 +215,8 @@ def _figures(figures: Mapping[str, float | bool]) -> Iterator[str]:
 def _plain(
     info: BagInfo, recording: Recording, runs: Sequence[RunFacts | None]
 ) -> dict[str, Any]:
+    from taxinet_ros.bag.layout import storage_files
+
     only = runs[0] if len(runs) == 1 else None
     return {
         'bag': str(info.path), 'whole': info.complete, 'trouble': info.trouble,

@@ -6,40 +6,43 @@ import shlex
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.console import Console
-from rich.progress import track
 
-from taxinet_ros.bag.check.lockstep import checked_runs
-from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.layout import run_folder
-from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.rewrite.frames import IMAGE, missing_frames, restore_frames, restore_in_place
-from taxinet_ros.bag.rewrite.recovery import Recovery, recover
-from taxinet_ros.bag.rewrite.split import write_runs
-from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.writer import RUN_METADATA
-from taxinet_ros.cli.bag.input import exit_code_of, one_run
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.cli.options import BagArgument, RunOption
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.trials.options import check_new
 from taxinet_ros.version import __version__
 
+if TYPE_CHECKING:
+    from taxinet_ros.bag.rewrite.recovery import Recovery
+    from taxinet_ros.bag.run.recording import Recording
 
-def run_recover(bag: Path, out: Path) -> int:
-    """Copy the messages before the damage and print what was saved and lost.
+_MIN_FREE_BYTES = 1_000_000_000
 
-    Returns:
-        Exit code: 0 everything was saved, 3 something is lost, 2 nothing could be saved, 4 no disk
-            space.
+
+def recover(
+    bag: BagArgument,
+    out: Annotated[
+        Path, typer.Option(metavar='NEW', help='folder for the new bag; must not exist')
+    ],
+) -> int:
+    """Copy all messages up to the first damage, or to the end of an unfinished bag, to a new one.
+
+    The original bag is never modified. mcap recover, a tool of MCAP, also looks behind the damage.
     """
+    from taxinet_ros.cli.bag.input import exit_code_of
+
     if bag.is_dir() and out.resolve().is_relative_to(bag.resolve()):
         raise UsageError(f'--out {out}: is inside the bag {bag}, which is not modified')
     return exit_code_of(bag, lambda: _recover(bag, out))
 
 
 def _recover(bag: Path, out: Path) -> int:
+    from taxinet_ros.bag.errors import BagError
+    from taxinet_ros.bag.rewrite.recovery import recover
+
     recovery = recover(bag, out)
     for line in recovery.damage:
         print(f'damage: {line}')
@@ -66,6 +69,11 @@ def _recover(bag: Path, out: Path) -> int:
 
 def _steps(bag: Path) -> Iterator[str]:
     """Lines on how much of each run the new bag holds."""
+    from taxinet_ros.bag.check.lockstep import checked_runs
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+    from taxinet_ros.core.types import NS_PER_S
+
     for name, recording, record in checked_runs(open_recording(bag)):
         fact = recording.facts
         if fact is not None:
@@ -86,13 +94,30 @@ def _lost(recovery: Recovery) -> str:
     return 'lost no message except as stated above' if recovery.damage else ''
 
 
-def run_split(bag: Path, out: Path) -> int:
-    """Write one bag per run and print each; exit code 3 if the recording is damaged."""
+def split(
+    bag: BagArgument,
+    out: Annotated[
+        Path, typer.Option(metavar='DIR', help='folder for the new bags; must be new or empty')
+    ],
+) -> int:
+    """Split a recording into one bag per run, as recorded by the recorder node.
+
+    For bags from ros2 bag record: several runs in one bag, logged by wall-clock time, with foreign
+        topics. Each new bag is named after its run; the recording is never modified.
+    """
+    from taxinet_ros.cli.bag.input import exit_code_of
+    from taxinet_ros.trials.options import check_new
+
     check_new(out)
     return exit_code_of(bag, lambda: _split(bag, out))
 
 
 def _split(bag: Path, out: Path) -> int:
+    from taxinet_ros.bag.errors import BagForeign
+    from taxinet_ros.bag.layout import run_folder
+    from taxinet_ros.bag.rewrite.split import write_runs
+    from taxinet_ros.bag.run.recording import open_recording
+
     recording = open_recording(bag)
     present = [run for run in recording.runs if not run.absent]
     if not present:
@@ -110,13 +135,26 @@ def _split(bag: Path, out: Path) -> int:
     return ExitCode.INCOMPLETE if recording.damage else ExitCode.OK
 
 
-_MIN_FREE_BYTES = 1_000_000_000
+def render(
+    bag: BagArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar='NEW', help='folder for a new bag (default: add them to BAG itself)'),
+    ] = None,
+    run_id: RunOption = None,
+) -> int:
+    """Add camera frames to a bag recorded without them.
 
+    The frames are bit-identical to those of the run: the aircraft is re-simulated from the recorded
+    commands and checked against the recorded odometry. Under the same name, the new bag is
+    byte-identical to one recorded with --images all.
+    """
+    from taxinet_ros.bag.rewrite.split import write_runs
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.cli.bag.input import exit_code_of, one_run
 
-def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
-    """Render missing frames, in place or into a new bag, and print the result."""
     def work() -> int:
-        recording = one_run(bag, run)
+        recording = one_run(bag, run_id)
         if not recording.name:
             return _render(recording, out)
         if out is None:
@@ -130,6 +168,17 @@ def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
 
 
 def _render(recording: Recording, out: Path | None) -> int:
+    from rich.progress import track
+
+    from taxinet_ros.bag.reader import read_info
+    from taxinet_ros.bag.rewrite.frames import (
+        IMAGE,
+        missing_frames,
+        restore_frames,
+        restore_in_place,
+    )
+    from taxinet_ros.bag.writer import RUN_METADATA
+
     console = Console(highlight=False)
     bag, info = recording.path, recording.info
     missing = missing_frames(info)

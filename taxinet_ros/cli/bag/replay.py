@@ -4,146 +4,184 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-from numpy.typing import NDArray
+import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.one_run.replay import Difference, difference, plot_replay, quantities
-from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.bag.run.trace import Column
-from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL
-from taxinet_ros.cli.bag.input import controller_of, perception_of, perception_words, readable_bags
-from taxinet_ros.core.assurance.switch import parts_of
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
-from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.user_code import short_word
+from taxinet_ros.cli.options import BagArgument, OwnControllerOption, RunOption
+from taxinet_ros.core.topics import MTL_MONITOR, PERCEPTION, STEERING_CONTROLLER
 from taxinet_ros.errors import UsageError
-from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.graph.replay import replay
-from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from taxinet_ros.analysis.one_run.replay import Difference
+    from taxinet_ros.bag.run.facts import RecordedRun
+    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.trace import Column
 
 _COLUMNS = {
-    interface.PERCEPTION: ('est_cte_m', 'est_he_rad'),
-    interface.STEERING_CONTROLLER: ('steering_rad', 'speed_cmd_mps'),
-    interface.MTL_MONITOR: ('rho_lower.', 'rho_upper.'),
+    PERCEPTION: ('est_cte_m', 'est_he_rad'),
+    STEERING_CONTROLLER: ('steering_rad', 'speed_cmd_mps'),
+    MTL_MONITOR: ('rho_lower.', 'rho_upper.'),
 }
+"""Columns of a run's trace that a node fills, by its name."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReplayOptions:
-    """Options of ``taxinet bag replay``.
+def replay(
+    bag: BagArgument,
+    into: Annotated[
+        str,
+        typer.Option(metavar='NODE', help='perception, steering_controller or mtl_monitor'),
+    ] = 'perception',
+    run_id: RunOption = None,
+    perception: Annotated[
+        str | None,
+        typer.Option(
+            help="replaces the run's perception: a word, weights file, .onnx network or "
+            'FILE.py:NAME'
+        ),
+    ] = None,
+    controller: OwnControllerOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help='new folder for plot and table (default: below bags/)'),
+    ] = None,
+    tolerance_cte: Annotated[
+        float,
+        typer.Option(
+            metavar='M', help='tolerance of cross-track estimates; 0: bit-identical'
+        ),
+    ] = 0.0,
+    tolerance_he: Annotated[
+        float,
+        typer.Option(
+            metavar='DEG', help='tolerance of heading estimates; 0: bit-identical'
+        ),
+    ] = 0.0,
+) -> int:
+    """Replay a recorded run into one node and compare its outputs.
 
-    Attributes:
-        recording: recording of the run.
-        target: node to replay into.
-        perception: word or file; None: the run's own.
-        controller: word; None: the run's own.
-        out: new folder for plot and table; None: one below ``bags/``.
-        tolerance_cte_m, tolerance_he_deg: tolerances of estimates relative to the recording.
+    Regression test for a retrained network. Missing frames are rendered. Exit code: 0 equal within
+    the tolerances, 1 different, 2 bad input, 4 the node failed.
     """
+    from taxinet_ros.cli.bag.input import readable_run
 
-    recording: Recording
-    target: str
-    perception: str | None
-    controller: str | None
-    out: Path | None
-    tolerance_cte_m: float
-    tolerance_he_deg: float
-
-    def __post_init__(self) -> None:
-        given = {'cte': self.tolerance_cte_m, 'he': self.tolerance_he_deg}
-        for name, value in given.items():
-            if not 0 <= value < float('inf'):
-                raise UsageError(f'--tolerance-{name} {value:g}: needs to be 0 or more')
-        if self.target != interface.PERCEPTION and (any(given.values()) or self.perception):
-            raise UsageError(
-                f'--into {self.target}: takes neither --perception nor a tolerance; its outputs '
-                'are determined exactly by its inputs'
-            )
-        if self.target != interface.STEERING_CONTROLLER and self.controller:
-            raise UsageError(f'--into {self.target}: takes no --controller')
-
-    def tolerance(self, column: str) -> float:
-        """Tolerance of a quantity in its display unit."""
-        return {'est_cte_m': self.tolerance_cte_m, 'est_he_rad': self.tolerance_he_deg}.get(
-            column, 0.0
+    tolerances = {'cte': tolerance_cte, 'he': tolerance_he}
+    for name, value in tolerances.items():
+        if not 0 <= value < float('inf'):
+            raise UsageError(f'--tolerance-{name} {value:g}: needs to be 0 or more')
+    if into != PERCEPTION and (any(tolerances.values()) or perception):
+        raise UsageError(
+            f'--into {into}: takes neither --perception nor a tolerance; its outputs '
+            'are determined exactly by its inputs'
+        )
+    if into != STEERING_CONTROLLER and controller:
+        raise UsageError(f'--into {into}: takes no --controller')
+    with readable_run(bag, run_id) as whole:
+        return run_replay(
+            whole, into, perception=perception, controller=controller, out=out,
+            allowed={'est_cte_m': tolerance_cte, 'est_he_rad': tolerance_he},
         )
 
-    def within(self, one: Difference) -> bool:
-        """Whether a difference is within the tolerance; without one, it must be zero."""
-        allowed = self.tolerance(one.quantity.column)
-        return one.first_seq is None if allowed == 0 else one.greatest <= allowed
 
+def run_replay(
+    recording: Recording, into: str, *, perception: str | None, controller: str | None,
+    out: Path | None, allowed: Mapping[str, float],
+) -> int:
+    """Replay, print a table, and write plot and values; exit code 1 if different.
 
-def run_replay(options: ReplayOptions) -> int:
-    """Replay, print a table, and write plot and values; exit code 1 if different."""
+    Args:
+        recording: of the run.
+        into: the node.
+        perception: word; None for the run's own.
+        controller: word; None for the run's own.
+        out: new folder, or None for one below ``bags/``.
+        allowed: greatest differences by column, in display units; of others 0.
+    """
+    from taxinet_ros.analysis.one_run.replay import difference, plot_replay, quantities
+    from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL
+    from taxinet_ros.cli.bag.input import controller_of, perception_of
+    from taxinet_ros.core.assurance.switch import parts_of
+    from taxinet_ros.core.motion.controller import STEERING
+    from taxinet_ros.nodes.graph.replay import replay
+    from taxinet_ros.trials.options import check_new, new_folder
+
     console = Console(highlight=False)
-    with readable_bags():
-        run, trace = options.recording.run, options.recording.columns
-        if run.timing.free:
-            raise UsageError(
-                f'{options.recording.path}: a free run, whose unanswered frames cannot be '
-                'compared; replay a lockstep run'
-            )
-        word, fingerprint = run.perception, run.fingerprint
-        if options.target == interface.PERCEPTION:
-            word, fingerprint = perception_of(run, options.perception)
-        out = options.out or new_folder(_folder(run, options.target, word))
-        check_new(out)
-        controller = STEERING
-        if options.target == interface.STEERING_CONTROLLER:
-            controller = controller_of(run, options.controller)
-            if parts_of(controller) is not None:
-                raise UsageError(
-                    f'--controller {controller}: its monitor needs the frames too, which are not '
-                    'replayed into it; `taxinet run --from` drives the whole run again'
-                )
-        answers = replay(
-            options.recording, run, target=options.target, perception=word, controller=controller
+    run, trace = recording.run, recording.columns
+    if run.timing.free:
+        raise UsageError(
+            f'{recording.path}: a free run, whose unanswered frames cannot be compared; replay a '
+            'lockstep run'
         )
-    names = _names(run, options.target, word, fingerprint)
+    word, fingerprint = run.perception, run.fingerprint
+    if into == PERCEPTION:
+        word, fingerprint = perception_of(run, perception)
+    out = out or new_folder(_folder(run, into, word))
+    check_new(out)
+    law = STEERING
+    if into == STEERING_CONTROLLER:
+        law = controller_of(run, controller)
+        if parts_of(law) is not None:
+            raise UsageError(
+                f'--controller {law}: its monitor needs the frames too, which are not '
+                'replayed into it; `taxinet run --from` drives the whole run again'
+            )
+    answers = replay(recording, run, target=into, perception=word, controller=law)
+    names = _names(run, into, word, fingerprint)
     found = [
         difference(quantity, trace, answers)
-        for quantity in quantities(trace, _COLUMNS.get(options.target, ()))
+        for quantity in quantities(trace, _COLUMNS.get(into, ()))
     ]
-    console.print(
-        f'{run.request.run_id} into {options.target}: {names[0]}, {names[1]}', soft_wrap=True
-    )
-    _print(console, found, options)
+    console.print(f'{run.request.run_id} into {into}: {names[0]}, {names[1]}', soft_wrap=True)
+    _print(console, found, allowed)
     out.mkdir(parents=True, exist_ok=True)
     plot_replay(
-        found, trace, out / 'replay.png', title=f'{run.request.run_id} into {options.target}',
+        found, trace, out / 'replay.png', title=f'{run.request.run_id} into {into}',
         recorded=names[0], replayed=names[1],
     )
     _write_csv(found, trace, out / 'replay.csv')
-    equal = all(options.within(one) for one in found)
+    equal = all(_within(one, allowed) for one in found)
     console.print(f'{_conclusion(found, equal)}; picture: {out / "replay.png"}, replay.csv',
                   soft_wrap=True)
     return EQUAL if equal else DIFFERENT
 
 
+def _within(one: Difference, allowed: Mapping[str, float]) -> bool:
+    """Whether a difference is within the tolerance; without one, it must be zero."""
+    most = allowed.get(one.quantity.column, 0.0)
+    return one.first_seq is None if most == 0 else one.greatest <= most
+
+
 def _folder(run: RecordedRun, target: str, word: str) -> Path:
-    what = short_word(word) if target == interface.PERCEPTION else target
+    from taxinet_ros.core.user_code import short_word
+    from taxinet_ros.trials.options import DEFAULT_ROOT
+
+    what = short_word(word) if target == PERCEPTION else target
     return DEFAULT_ROOT / f'replay-{run.request.run_id}-{what}'
 
 
 def _names(run: RecordedRun, target: str, word: str, fingerprint: str) -> tuple[str, str]:
     """Labels of the recorded and the new outputs."""
-    if target != interface.PERCEPTION:
+    from taxinet_ros.cli.bag.input import perception_words
+    from taxinet_ros.core.user_code import short_word
+
+    if target != PERCEPTION:
         return 'recorded', 'now'
     before = perception_words(run.perception, run.fingerprint)
     return f'recorded: {before}', f'now: {perception_words(short_word(word), fingerprint)}'
 
 
-def _print(console: Console, found: Sequence[Difference], options: ReplayOptions) -> None:
+def _print(
+    console: Console, found: Sequence[Difference], allowed: Mapping[str, float]
+) -> None:
     heading = ('quantity', 'mean |Δ|', 'max |Δ|', 'allowed', 'equal steps', 'first other')
-    rows = [heading, *(_cells(one, options) for one in found)]
+    rows = [heading, *(_cells(one, allowed) for one in found)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    styles = ['bold', *('' if options.within(one) else 'red' for one in found)]
+    styles = ['bold', *('' if _within(one, allowed) else 'red' for one in found)]
     for row, style in zip(rows, styles, strict=True):
         line = f'{row[0]:<{widths[0]}}' + ''.join(
             f'  {cell:>{width}}' for cell, width in zip(row[1:], widths[1:], strict=True)
@@ -151,15 +189,17 @@ def _print(console: Console, found: Sequence[Difference], options: ReplayOptions
         console.print(line, style=style, soft_wrap=True, markup=False)
 
 
-def _cells(one: Difference, options: ReplayOptions) -> tuple[str, ...]:
+def _cells(one: Difference, allowed: Mapping[str, float]) -> tuple[str, ...]:
+    from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+
     unit = f' {one.quantity.unit}' if one.quantity.unit else ''
-    allowed = options.tolerance(one.quantity.column)
+    most = allowed.get(one.quantity.column, 0.0)
     first = '-' if one.first_seq is None else (
         f'step {one.first_seq} ({one.first_seq * CONTROL_PERIOD_NS / 1e9:.1f} s)'
     )
     return (
         one.quantity.label, f'{one.mean:.3g}{unit}', f'{one.greatest:.3g}{unit}',
-        f'{allowed:g}{unit}' if allowed else 'no bit', f'{one.equal_steps} of {len(one.recorded)}',
+        f'{most:g}{unit}' if most else 'no bit', f'{one.equal_steps} of {len(one.recorded)}',
         first,
     )
 
@@ -182,7 +222,7 @@ def _write_csv(
         columns[f'recorded_{name}{suffix}'] = one.recorded
         columns[f'replayed_{name}{suffix}'] = one.replayed
         if quantity.truth:
-            true = trace[quantity.truth].astype(np.float64) * quantity.scale
+            true = trace[quantity.truth].astype('float64') * quantity.scale
             columns[f'true_{name.removesuffix("_estimate")}{suffix}'] = true
     with path.open('w', newline='') as stream:
         writer = csv.writer(stream)

@@ -1,25 +1,14 @@
-"""``taxinet run --from`` and ``taxinet bag golden``: run a recorded scenario again and compare."""
+"""``taxinet run --from``: run a recorded scenario again and compare."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.bag.check.compare import (
-    GoldenResult,
-    compare_bags,
-    compare_golden,
-    golden_bags,
-    same_stack,
-    stack_differences,
-    write_stack,
-)
-from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
+from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.rewrite.frames import IMAGE
-from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import recorded_world
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL, print_comparison
@@ -33,7 +22,7 @@ from taxinet_ros.cli.bag.input import (
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.verdict.outcome import Outcome, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.processes.interrupts import ToldInterrupt
@@ -125,63 +114,3 @@ def run_again(
         topics = compare_bags(recording, made, skip=skip)
     print_comparison(console, topics, 0.0)
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
-
-
-def run_golden(folder: Path, *, update: bool) -> int:
-    """Rerun every golden scene, print each comparison, and optionally replace bags that differ.
-
-    Returns:
-        Exit code: 0 the same, or replaced; 1 different.
-    """
-    console = Console(highlight=False)
-    bags = golden_bags(folder)
-    with readable_bags():
-        runs = {bag: open_recording(bag).run for bag in bags}
-    for bag, run in runs.items():
-        if run.request.run_id != bag.name:
-            raise UsageError(f'{bag}: holds run {run.request.run_id}; rename the folder to match')
-    if other := stack_differences(folder):
-        console.print(
-            f'other software stack than the golden bags: {other}', soft_wrap=True, markup=False
-        )
-    with tempfile.TemporaryDirectory(prefix='taxinet-golden-') as scratch:
-        words = [
-            (run, perception_of(run, None)[0], controller_of(run, None)) for run in runs.values()
-        ]
-        _check_golden(rerun(words, Path(scratch), images='none'), runs)
-        results = [
-            compare_golden(
-                bag, Path(scratch) / bag.name, perception=run.perception,
-                to_the_bit=update or same_stack(folder),
-            )
-            for bag, run in runs.items()
-        ]
-        for result in results:
-            run = runs[result.bag]
-            words_ = perception_words(run.perception, run.fingerprint)
-            console.print(f'{result.bag.name}, perception {words_}:', soft_wrap=True)
-            print_comparison(console, result.topics, result.tolerance)
-        changed = [result for result in results if not result.equal]
-        if update:
-            for result in changed:
-                _replace_golden(result)
-            write_stack(folder)
-            console.print(f'{len(changed)} of {len(results)} golden bags re-recorded')
-            return EQUAL
-    return DIFFERENT if changed else EQUAL
-
-
-def _check_golden(results: Mapping[str, RunResult], runs: Mapping[Path, RecordedRun]) -> None:
-    for run in runs.values():
-        name = run.request.run_id
-        result = results.get(name, RunResult(outcome=Outcome.INTERRUPTED))
-        if result.outcome is Outcome.INTERRUPTED:
-            raise KeyboardInterrupt
-        if not result.outcome.judged:
-            detail = f'{name}: {result.detail}'
-            raise InfraError(result.kind, result.who, result.last_seq, detail)
-
-
-def _replace_golden(result: GoldenResult) -> None:
-    for name in (mcap_path(result.bag).name, METADATA_FILE):
-        (result.bag / name).write_bytes((result.again / name).read_bytes())

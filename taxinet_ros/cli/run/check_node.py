@@ -12,28 +12,73 @@ import tempfile
 import textwrap
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from taxinet_ros.core.motion.controller import check_controller
-from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.user_code import COMMAND, command_of, names_user_code
+import typer
+
+from taxinet_ros.cli.options import JsonOption, refuse_given
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.nodes.graph.node_process import NodeProcess
-from taxinet_ros.nodes.node_check import (
-    ROLES,
-    CheckOptions,
-    Finding,
-    Report,
-    Role,
-    Starter,
-    Status,
-    check_node,
-    command_starter,
-)
-from taxinet_ros.nodes.steering_controller import SteeringController
-from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+
+if TYPE_CHECKING:
+    from taxinet_ros.nodes.graph.node_process import NodeProcess
+    from taxinet_ros.nodes.node_check import Finding, Report, Role, Starter
 
 _NAME_WIDTH, _LINE_WIDTH = 14, 100
+
+
+def check_node(
+    context: typer.Context,
+    command: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='COMMAND',
+            help="command that starts your node, e.g. 'ros2 run my_pkg my_node'; or FILE.py:NAME",
+        ),
+    ] = None,
+    role: Annotated[
+        str | None,
+        typer.Option(
+            metavar='ROLE',
+            help='perception or controller (default: detected; --external needs it)',
+        ),
+    ] = None,
+    external: Annotated[
+        bool, typer.Option('--external', help='you start the node yourself, without COMMAND')
+    ] = False,
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help='ROS domain (default: a free one)')
+    ] = None,
+    frames: Annotated[
+        int, typer.Option(min=8, max=500, help='number of messages in a run')
+    ] = 24,
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=3600.0, metavar='SECONDS',
+            help='timeout for an answer; three times as long for READY',
+        ),
+    ] = 10.0,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='FILE.log', writable=True, dir_okay=False, help="file for the node's output"
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Test your own node against the lockstep protocol.
+
+    The kit simulates all other nodes: several runs of a few frames, a malformed message, SIGINT and
+        SIGTERM. It prints one line per clause of the contract in docs/own_nodes.md: PASS, FAIL with
+        the expected and actual behaviour and a fix, or not tried. Exit code: 0 no clause broken, 2
+        some clause broken.
+    """
+    if external:
+        refuse_given(context, ('log',), 'the output of a node that you start is not seen here')
+    return run_check(
+        command, role=role, external=external, domain=domain, frames=frames, patience_s=patience,
+        log=log, as_json=as_json,
+    )
 
 
 def run_check(
@@ -48,6 +93,8 @@ def run_check(
     Raises:
         UsageError: it breaks a clause, or an option is invalid.
     """
+    from taxinet_ros.nodes.node_check import ROLES, CheckOptions, check_node
+
     if role is not None and role not in ROLES:
         raise UsageError(f'--role {role}: unknown; known: {", ".join(ROLES)}')
     if (command is None) is not external:
@@ -91,6 +138,13 @@ def _say(line: str) -> None:
 
 
 def _starter(command: str, role: str | None, scratch: Path) -> Starter:
+    from taxinet_ros.core.motion.controller import check_controller
+    from taxinet_ros.core.perception.perception import check_perception
+    from taxinet_ros.core.user_code import COMMAND, command_of, names_user_code
+    from taxinet_ros.nodes.node_check import command_starter
+    from taxinet_ros.nodes.steering_controller import SteeringController
+    from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+
     words = command_of(COMMAND + command) or []
     program = len(words) == 1 and os.access(words[0], os.X_OK) and Path(words[0]).is_file()
     if len(words) > 1 or program or not names_user_code(command):
@@ -115,12 +169,16 @@ def _start_ours(
     kind: type[Any], parameters: dict[str, Any], scratch: Path, role: Role, domain: int, log: Path
 ) -> NodeProcess:
     """Start the shipped node with the user's function."""
+    from taxinet_ros.nodes.graph.node_process import NodeProcess
+
     return NodeProcess.of_ours(
         role.node, kind, parameters, domain=domain, log=log, scratch=scratch,
     )
 
 
 def _words(report: Report) -> str:
+    from taxinet_ros.nodes.node_check import Status
+
     findings = report.findings
     count = Counter(one.status for one in findings)
     left: dict[str, list[str]] = {}
@@ -137,6 +195,8 @@ def _words(report: Report) -> str:
 
 
 def _line(one: Finding) -> str:
+    from taxinet_ros.nodes.node_check import Status
+
     text = f'{one.expected}: {one.came}'
     if one.status is Status.FAIL:
         text = f'expected: {one.expected}; got: {one.came}; fix: {one.clause.mend}'

@@ -8,16 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
-from taxinet_ros.cli.completion import complete_experiment, complete_gain, complete_perception
-from taxinet_ros.cli.help import command_group
+from taxinet_ros.cli.completion import complete_experiment, complete_perception
 from taxinet_ros.cli.options import (
-    AircraftOption,
-    AirportOption,
-    AptDatOption,
     AuditOption,
     BoundOption,
     BudgetOption,
-    CameraOption,
     ClusterOption,
     ControllerCommandOption,
     ControllerOption,
@@ -45,16 +40,13 @@ from taxinet_ros.cli.options import (
     OwnSpecOption,
     PerceptionCommandOption,
     PerceptionOption,
-    PictureOption,
     ProcessesOption,
     QuietOption,
     RateOption,
-    RendererOption,
     ResumeOption,
     RunImagesOption,
     RunOption,
     RunsOption,
-    RunwayOption,
     SamplerOption,
     SamplerSettingOption,
     ScenarioArgument,
@@ -65,14 +57,11 @@ from taxinet_ros.cli.options import (
     StopOnOption,
     UntilOption,
     WorkersOption,
+    WorldCameraOption,
     WorldOption,
-    airport_place,
     controller_of,
     ended,
     given_options,
-    refuse_given,
-    renderer_of,
-    scene_settings,
     word_of,
 )
 
@@ -93,11 +82,7 @@ def run(
     fallback: FallbackOption = None,
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: WorldCameraOption = None,
     spec: SpecOption = None,
     out: OutOption = None,
     processes: ProcessesOption = False,
@@ -141,12 +126,12 @@ def run(
         raise UsageError(f'--foxglove: not with --engine {LOOP}, which has no topics')
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-        settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+        settings=settings or (),
         specs=spec or (), out=out, processes=processes,
         images=images or ('all' if runs == 1 else 'failures'), stop_on=stop_on,
         bounds=bound or (), rates=rate or (), controller=controller_of(context),
         latency=latency or (), free=free, real_time_factor=real_time_factor,
-        world=world_word(world, renderer_of(camera)),
+        world=world_word(world, camera),
         engine=engine, audit=audit,
     )
     raise ended(
@@ -203,11 +188,7 @@ def falsify(
     fallback: FallbackOption = None,
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: WorldCameraOption = None,
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
@@ -216,7 +197,6 @@ def falsify(
     bound: BoundOption = None,
     rate: RateOption = None,
     latency: LatencyOption = None,
-    free: FreeOption = False,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
     quiet: QuietOption = False,
@@ -231,26 +211,19 @@ def falsify(
     """
     _start_scenic()
     from taxinet_ros.cli.run.search import run_falsify
-    from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
     from taxinet_ros.core.world import world_word
-    from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search_options import make_search_options
 
-    if free:
-        raise UsageError(
-            f'--free: not in a search, which needs reproducible verdicts, and {NOT_REPRODUCIBLE}; '
-            'use taxinet run --runs N --free, or search with --latency'
-        )
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-            settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+            settings=settings or (),
             specs=spec or (), out=out, processes=False, images=images, resume=resume,
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
             controller=controller_of(context), latency=latency or (),
-            world=world_word(world, renderer_of(camera)),
+            world=world_word(world, camera),
             engine=engine, audit=audit,
         )
         options = make_search_options(
@@ -263,7 +236,6 @@ def falsify(
 
 def estimate(
     scenario: ScenarioArgument,
-    target_error: Annotated[float | None, typer.Option(hidden=True)] = None,
     down_to: Annotated[
         float,
         typer.Option(metavar='PROBABILITY', help='least probability that the runs suffice for'),
@@ -283,11 +255,7 @@ def estimate(
     controller: ControllerOption = 'steering',
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
-    airport: AirportOption = None,
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    aircraft: AircraftOption = None,
-    camera: CameraOption = None,
+    camera: WorldCameraOption = None,
     spec: SpecOption = None,
     images: ImagesOption = 'none',
     bound: BoundOption = None,
@@ -308,24 +276,17 @@ def estimate(
     _start_scenic()
     from taxinet_ros.cli.run.estimate import run_estimate
     from taxinet_ros.core.world import world_word
-    from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search_options import make_estimate_options
 
-    if target_error is not None:
-        raise UsageError(
-            '--target-error: is no option any more, as intervals of estimates that stop where '
-            'islands agree are too narrow; leave it out, and choose --runs'
-        )
-
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=perception,
-            settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
+            settings=settings or (),
             specs=spec or (), out=out, processes=False, images=images, resume=resume,
             bounds=bound or (), rates=rate or (), controller=controller,
-            latency=latency or (), world=world_word(world, renderer_of(camera)), engine=engine,
+            latency=latency or (), world=world_word(world, camera), engine=engine,
             audit=audit,
         )
         options = make_estimate_options(
@@ -366,228 +327,6 @@ def shrink(
             engine=engine, audit=audit, cluster=cluster,
         )
     raise typer.Exit(run_shrink(options, quiet=quiet))
-
-
-place_app = command_group('Places where runs take place.')
-
-
-@place_app.command('list')
-def list_places() -> None:
-    """List the shipped places."""
-    from taxinet_ros.cli.run.place import print_places
-
-    print_places()
-
-
-@place_app.command('show')
-def show_place(
-    place: Annotated[
-        str,
-        typer.Argument(
-            metavar='PLACE', help='shipped name, YAML file, or ICAO code with --runway'
-        ),
-    ],
-    runway: RunwayOption = None,
-    apt_dat: AptDatOption = None,
-    out: PictureOption = None,
-) -> None:
-    """Describe a place, and draw it from above: runway, markings, pavements, taxi routes."""
-    from taxinet_ros.cli.run.place import show_place
-
-    if runway is not None or apt_dat is not None:
-        place = airport_place(place, runway, apt_dat)
-    show_place(place, out)
-
-
-aircraft_app = command_group('Aircraft that taxi.')
-
-
-@aircraft_app.command('list')
-def list_aircraft() -> None:
-    """List the shipped aircraft."""
-    from taxinet_ros.cli.training.rig import print_aircraft
-
-    print_aircraft()
-
-
-@aircraft_app.command('show')
-def show_aircraft(
-    aircraft: Annotated[
-        str, typer.Argument(metavar='AIRCRAFT', help='shipped name, or YAML file of one')
-    ],
-    out: PictureOption = None,
-) -> None:
-    """Load an aircraft, measure what its file leaves out, say what is wrong, and draw it."""
-    from taxinet_ros.cli.training.rig import show_aircraft
-
-    show_aircraft(aircraft, out)
-
-
-def demo(
-    out: OutOption = None,
-    runs: RunsOption = 10,
-    seed: SeedOption = 1,
-) -> None:
-    """Run ten scenes with both networks and with ground truth.
-
-    Plots paths and camera frames.
-    """
-    from taxinet_ros.cli.run.demo import run_demo
-
-    raise typer.Exit(run_demo(out, runs=runs, seed=seed))
-
-
-def up(
-    context: typer.Context,
-    perception: PerceptionOption = 'taxinet',
-    perception_cmd: PerceptionCommandOption = None,
-    controller: ControllerOption = 'steering',
-    controller_cmd: ControllerCommandOption = None,
-    monitor: MonitorOption = None,
-    fallback: FallbackOption = None,
-    world: WorldOption = 'kmwh',
-    camera: RendererOption = 'ours',
-    out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
-    record: Annotated[
-        bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
-    ] = True,
-    images: ImagesOption = 'all',
-    latency: LatencyOption = None,
-    free: FreeOption = False,
-    real_time_factor: FactorOption = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            '--set', metavar='KEY=VALUE',
-            help='a controller gain (steering.heading_gain=1.2); repeatable',
-            autocompletion=complete_gain,
-        ),
-    ] = None,
-    restart: Annotated[
-        str,
-        typer.Option(
-            metavar='RULE',
-            help='when a node dies: on-failure restarts it, at most 3 times in 60 s; never ends '
-            'the graph',
-        ),
-    ] = 'on-failure',
-    domain: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=232,
-            help='ROS domain (default: ROS_DOMAIN_ID, else one not used by another taxinet graph)',
-        ),
-    ] = None,
-    namespace: Annotated[
-        str,
-        typer.Option(
-            metavar='NAME',
-            help='prefix of every name in the graph, /clock included, so that several graphs can '
-            'share a domain',
-        ),
-    ] = '',
-    silent_after: Annotated[
-        float,
-        typer.Option(
-            min=0.5, max=3600.0, metavar='SECONDS',
-            help='report a node that has not answered for this long; on-failure kills it after '
-            'three times as long',
-        ),
-    ] = 10.0,
-) -> None:
-    """Start every node except the sampler in its own process and keep them running.
-
-    To run scenes, use `ros2 run taxinet_ros scenario_sampler` in another terminal, in the ROS
-    domain printed. Ctrl-C ends the current run and the graph in order; a second one kills it. Exit
-    code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
-    """
-    from taxinet_ros.cli.run.up import make_up_options, run_up
-    from taxinet_ros.core.world import world_word
-
-    if not record:
-        refuse_given(context, ('images',), 'has no effect with --no-record; leave one out')
-    options = make_up_options(
-        perception=word_of(context, 'perception'), controller=controller_of(context),
-        out=out, record=record, images=images, settings=settings or (), restart=restart,
-        domain=domain, silent_s=silent_after, latency=latency or (),
-        free=free, real_time_factor=real_time_factor, namespace=namespace,
-        world=world_word(world, None if camera == 'ours' else camera),
-    )
-    raise typer.Exit(run_up(options))
-
-
-def check_node(
-    context: typer.Context,
-    command: Annotated[
-        str | None,
-        typer.Argument(
-            metavar='COMMAND',
-            help="command that starts your node, e.g. 'ros2 run my_pkg my_node'; or FILE.py:NAME",
-        ),
-    ] = None,
-    role: Annotated[
-        str | None,
-        typer.Option(
-            metavar='ROLE',
-            help='perception or controller (default: detected; --external needs it)',
-        ),
-    ] = None,
-    external: Annotated[
-        bool, typer.Option('--external', help='you start the node yourself, without COMMAND')
-    ] = False,
-    domain: Annotated[
-        int | None, typer.Option(min=0, max=232, help='ROS domain (default: a free one)')
-    ] = None,
-    frames: Annotated[
-        int, typer.Option(min=8, max=500, help='number of messages in a run')
-    ] = 24,
-    patience: Annotated[
-        float,
-        typer.Option(
-            min=0.1, max=3600.0, metavar='SECONDS',
-            help='timeout for an answer; three times as long for READY',
-        ),
-    ] = 10.0,
-    log: Annotated[
-        Path | None,
-        typer.Option(
-            metavar='FILE', writable=True, dir_okay=False, help="file for the node's output"
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
-) -> None:
-    """Test your own node against the lockstep protocol.
-
-    The kit simulates all other nodes: several runs of a few frames, a malformed message, SIGINT and
-        SIGTERM. It prints one line per clause of the contract in docs/own_nodes.md: PASS, FAIL with
-        the expected and actual behaviour and a fix, or not tried. Exit code: 0 no clause broken, 2
-        some clause broken.
-    """
-    from taxinet_ros.cli.run.check_node import run_check
-
-    if external:
-        refuse_given(context, ('log',), 'the output of a node that you start is not seen here')
-    raise typer.Exit(run_check(
-        command, role=role, external=external, domain=domain, frames=frames, patience_s=patience,
-        log=log, as_json=as_json,
-    ))
-
-
-def plugins(
-    name: Annotated[
-        str | None, typer.Argument(metavar='[NAME]', help='only what stands behind this name')
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """List perceptions, controllers, samplers, worlds, commands and more by name.
-
-    Those that are shipped and those of installed packages, with the package's version and where
-    in it each is; also those that cannot be used, with the reason. Exit code 0; with a NAME, 2
-    where it cannot be used.
-    """
-    from taxinet_ros.cli.run.plugins import show_plugins
-
-    raise typer.Exit(show_plugins(name, as_json=as_json))
 
 
 def experiment(

@@ -2,44 +2,33 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
+from taxinet_ros.cli.options import OutOption, RunsOption, SeedOption
 
-from taxinet_ros.analysis.camera.sheets import Picture, contact_sheet
-from taxinet_ros.analysis.one_run.trajectories import Trajectory, plot_trajectories
-from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.run.campaign import campaign_rows
-from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.trials.campaign import exit_code
-from taxinet_ros.trials.options import (
-    DEFAULT_ROOT,
-    CampaignOptions,
-    check_new,
-    make_options,
-    new_folder,
-)
-from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.summary import scene_words
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.camera.sheets import Picture
+    from taxinet_ros.analysis.one_run.trajectories import Trajectory
+    from taxinet_ros.trials.options import CampaignOptions
+    from taxinet_ros.trials.record.row import RunRow
 
 PROGRAM = 's_falsif'
 PERCEPTIONS = ('original', 'taxinet', 'truth')
 _SHEET_TIMES_S = (0, 3, 10)
 
 
-def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
-    """Run the demo and write its images.
+def demo(out: OutOption = None, runs: RunsOption = 10, seed: SeedOption = 1) -> int:
+    """Run ten scenes with both networks and with ground truth.
 
-    Args:
-        out: folder; None, or used by an earlier demo: a new one beside it.
-        runs: number of scenes.
-        seed: seed of the scenes.
-
-    Returns:
-        Exit code. Violations by a network are expected and no failure of the demo; violations with
-        ground truth are.
+    Plots paths and camera frames.
     """
+    # Violations by a network are expected, those with ground truth are failures of the demo.
+    from taxinet_ros.analysis.camera.sheets import contact_sheet
+    from taxinet_ros.analysis.one_run.trajectories import plot_trajectories
+    from taxinet_ros.cli.run.campaign import campaign_rows
+    from taxinet_ros.trials.campaign import exit_code
+    from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_options, new_folder
+
     out = new_folder(out or DEFAULT_ROOT / 'demo')
     check_new(out)
     columns: list[Trajectory] = []
@@ -66,6 +55,11 @@ def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
 
 def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajectory]:
     """True path of every run with a bag."""
+    from taxinet_ros.analysis.one_run.trajectories import Trajectory
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.core.types import NS_PER_S
+    from taxinet_ros.core.verdict.outcome import Outcome
+
     paths = []
     for row in rows:
         if row.bag:
@@ -73,9 +67,9 @@ def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajector
             trace = recording.columns
             paths.append(Trajectory(
                 label=options.perception,
-                t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
-                x_m=trace['distance_m'].astype(np.float64),
-                cte_m=trace['cte_m'].astype(np.float64),
+                t_s=trace['t_ns'].astype('float64') / NS_PER_S,
+                x_m=trace['distance_m'].astype('float64'),
+                cte_m=trace['cte_m'].astype('float64'),
                 ok=row.outcome is Outcome.PASS if row.outcome.judged else None,
                 half_width_m=recording.scenario.line.half_width_m,
             ))
@@ -84,6 +78,10 @@ def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajector
 
 def frames(rows: list[RunRow], options: CampaignOptions) -> list[tuple[Picture, str]]:
     """Captioned camera frames of every run at a few times."""
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.core.types import NS_PER_S
+    from taxinet_ros.trials.summary import scene_words
+
     wanted = {time_s * NS_PER_S: time_s for time_s in _SHEET_TIMES_S}
     tiles = []
     for row in rows:

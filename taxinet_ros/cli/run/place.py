@@ -1,44 +1,60 @@
-"""``taxinet place``: list the places, or draw one from above."""
+"""``taxinet place``: draw a place from above, or list all."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from taxinet_ros.analysis.camera.place_map import plot_place
-from taxinet_ros.cli.training.camera import new_picture, write_picture
-from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place
-from taxinet_ros.core.place.place import Place
-from taxinet_ros.core.place.runway import SURFACES
+import typer
 
+from taxinet_ros.cli.options import PictureOption, refuse_given
 
-def print_places() -> None:
-    """Print a line for each shipped place."""
-    for name in SHIPPED_PLACES:
-        place = find_place(name)
-        runway = place.runway
-        tracks = f'; tracks {", ".join(place.track_names)}' if place.tracks else ''
-        print(
-            f'{name}  {runway.length_m:5.0f} m x {runway.width_m:5.2f} m  '
-            f'{math.degrees(runway.bearing_rad):5.1f} deg  {runway.category:<12} '
-            f'{place.title}{tracks}'
-        )
+if TYPE_CHECKING:
+    from taxinet_ros.core.place.place import Place
 
 
-def show_place(word: str, out: Path | None) -> None:
-    """Describe a place and draw it.
+def place(
+    context: typer.Context,
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='[PLACE]', help='shipped name, YAML file, ICAO/RUNWAY of an installed apt.dat, '
+            'or FILE.dat:ICAO/RUNWAY (default: list those that are shipped)'
+        ),
+    ] = None,
+    out: PictureOption = None,
+) -> None:
+    """Describe a place, and draw it from above, or list all.
 
-    Raises:
-        UsageError: there is no such place, or the picture cannot be written.
+    The picture shows runway, markings, pavements and taxi routes.
     """
-    place = typed_place(word)
-    path = new_picture(out, f'place-{place.name}')
-    for label, text in _lines(place):
+    from taxinet_ros.analysis.camera.place_map import plot_place
+    from taxinet_ros.cli.training.pictures import new_picture, write_picture
+    from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place
+
+    if name is None:
+        refuse_given(context, ('out',), 'only with a PLACE')
+        for shipped in SHIPPED_PLACES:
+            _print_line(find_place(shipped))
+        return
+    found = typed_place(name)
+    path = new_picture(out, f'place-{found.name}')
+    for label, text in _lines(found):
         print(f'{label:<12}{text}')
-    write_picture(path, lambda: plot_place(place, path))
+    write_picture(path, lambda: plot_place(found, path))
     print(f'picture: {path}')
+
+
+def _print_line(place: Place) -> None:
+    runway = place.runway
+    tracks = f'; tracks {", ".join(place.track_names)}' if place.tracks else ''
+    print(
+        f'{place.name}  {runway.length_m:5.0f} m x {runway.width_m:5.2f} m  '
+        f'{math.degrees(runway.bearing_rad):5.1f} deg  {runway.category:<12} '
+        f'{place.title}{tracks}'
+    )
 
 
 def _lines(place: Place) -> Iterator[tuple[str, str]]:
@@ -87,8 +103,8 @@ def _lines(place: Place) -> Iterator[tuple[str, str]]:
 
 
 def _unseen(place: Place) -> str:
-    # Imported here because it loads libraries that few commands need.
     from taxinet_ros.core.camera.ground.taxiway import LINES
+    from taxinet_ros.core.place.runway import SURFACES
 
     words = [
         f'{number} lines of type {style}'

@@ -1,223 +1,150 @@
-"""``taxinet up``: keep a graph of supervised node processes up, with a live status table."""
+"""``taxinet up``: keep a graph of supervised node processes up."""
 
 from __future__ import annotations
 
-import contextlib
-import datetime
 import os
-import shlex
-import shutil
 import sys
-import time
-from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Annotated
 
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
+import typer
+from rich.console import Console
 
-from taxinet_ros.core.assurance.switch import check_controller
-from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.user_code import EXTERNAL
-from taxinet_ros.core.world import find_world
+from taxinet_ros.cli.completion import complete_gain
+from taxinet_ros.cli.options import (
+    ControllerCommandOption,
+    ControllerOption,
+    FactorOption,
+    FallbackOption,
+    FreeOption,
+    ImagesOption,
+    LatencyOption,
+    MonitorOption,
+    PerceptionCommandOption,
+    PerceptionOption,
+    WorldCameraOption,
+    WorldOption,
+    controller_of,
+    refuse_given,
+    word_of,
+)
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.nodes.graph.launch_plan import absolute_namespace
-from taxinet_ros.nodes.graph.runner import GraphOptions
-from taxinet_ros.nodes.graph.standing import UpOptions, run_standing_graph
-from taxinet_ros.nodes.graph.supervisor import (
-    GraphLostError,
-    Restart,
-    State,
-    SupervisionOptions,
-    Supervisor,
-    WatchedNode,
-    memory_mb,
-)
-from taxinet_ros.nodes.running.domain import BY_HAND, DISCOVERY_RANGE, LOCALHOST, domain_number
-from taxinet_ros.processes.interrupts import interrupts
-from taxinet_ros.registry import KMWH
-from taxinet_ros.trials.options import (
-    DEFAULT_ROOT,
-    IMAGES,
-    check_new,
-    check_not_free,
-    check_timing,
-    new_folder,
-    recorded_images,
-    split_settings,
-)
-
-_REFRESH_PER_S = 2.0
-_STYLES = {
-    State.STARTING: 'yellow', State.READY: 'green', State.SILENT: 'red', State.DEAD: 'red',
-}
 
 
-class UpView:
-    """Terminal view of one graph."""
+def up(
+    context: typer.Context,
+    perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
+    monitor: MonitorOption = None,
+    fallback: FallbackOption = None,
+    world: WorldOption = 'kmwh',
+    camera: WorldCameraOption = None,
+    out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
+    record: Annotated[
+        bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
+    ] = True,
+    images: ImagesOption = 'all',
+    latency: LatencyOption = None,
+    free: FreeOption = False,
+    real_time_factor: FactorOption = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set', metavar='KEY=VALUE',
+            help='a controller gain (steering.heading_gain=1.2); repeatable',
+            autocompletion=complete_gain,
+        ),
+    ] = None,
+    restart: Annotated[
+        str,
+        typer.Option(
+            metavar='RULE',
+            help='when a node dies: on-failure restarts it, at most 3 times in 60 s; never ends '
+            'the graph',
+        ),
+    ] = 'on-failure',
+    domain: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=232,
+            help='ROS domain (default: ROS_DOMAIN_ID, else one not used by another taxinet graph)',
+        ),
+    ] = None,
+    namespace: Annotated[
+        str,
+        typer.Option(
+            metavar='NAME',
+            help='prefix of every name in the graph, /clock included, so that several graphs can '
+            'share a domain',
+        ),
+    ] = '',
+    silent_after: Annotated[
+        float,
+        typer.Option(
+            min=0.5, max=3600.0, metavar='SECONDS',
+            help='report a node that has not answered for this long; on-failure kills it after '
+            'three times as long',
+        ),
+    ] = 10.0,
+) -> int:
+    """Start every node except the sampler in its own process and keep them running.
 
-    def __init__(self, console: Console, options: UpOptions) -> None:
-        """Show it on ``console``."""
-        self._console, self._options = console, options
-        self._supervisor: Supervisor | None = None
-
-    def say(self, line: str) -> None:
-        """Print a line."""
-        self._console.print(line, soft_wrap=True, markup=False)
-
-    def stop(self) -> None:
-        """For a signal: have the graph end, or what starts it."""
-        if self._supervisor is None:
-            raise KeyboardInterrupt
-        self._supervisor.stop()
-
-    @contextlib.contextmanager
-    def watching(self, supervisor: Supervisor, domain: int) -> Iterator[None]:
-        """Print where the graph runs; on a terminal, show a live table."""
-        self._supervisor = supervisor
-        for line in self._heading(domain):
-            self.say(line)
-        if not self._console.is_terminal:
-            yield
-            return
-        with Live(
-            console=self._console, refresh_per_second=_REFRESH_PER_S, transient=True,
-            get_renderable=lambda: self.picture(supervisor, time.monotonic()),
-        ):
-            yield
-
-    def _heading(self, domain: int) -> list[str]:
-        reach = os.environ[DISCOVERY_RANGE]
-        where = 'this machine only' if reach == LOCALHOST else f'discovery range {reach}'
-        what = 'bags and logs' if self._options.record else 'nothing recorded; logs'
-        if self._options.remaps:
-            where += f'; namespace {self._options.namespace}'
-        graph = self._options.graph
-        there = '' if graph.world == KMWH else f'; world {graph.world}'
-        if again := find_world(graph.world).again_words:
-            there += f' ({again}, so every frame is recorded)' if self._options.record else ''
-        return [
-            f'ROS domain {domain}, {where}; perception {graph.perception}{there}; '
-            f'{what} in {self._options.graph.out}',
-            *(
-                f'start it yourself in ROS domain {domain}: a node named {name}'
-                for name, word in self._options.graph.elsewhere.items() if word == EXTERNAL
-            ),
-            'to run scenes, in another terminal:',
-            f'  {self._invitation(domain)}',
-        ]
-
-    def _invitation(self, domain: int) -> str:
-        start = 'ros2 run taxinet_ros' if shutil.which('ros2') else 'taxinet node'
-        # Two nodes on one machine may not discover each other if only one is limited to it.
-        reach = f'{DISCOVERY_RANGE}={os.environ[DISCOVERY_RANGE]}'
-        words = f'{reach} ROS_DOMAIN_ID={domain} {start} scenario_sampler --ros-args -p runs:=10'
-        if not self._options.record:
-            names = f'participants:=[{",".join(self._options.participants)}]'
-            words += f' -p {shlex.quote(names)}'
-        return ' '.join([words, *(f'-r {rule}' for rule in self._options.remaps)])
-
-    def picture(self, supervisor: Supervisor, now_s: float) -> RenderableType:
-        """Table of the nodes, and a status line of the runs."""
-        table = Table(box=None, pad_edge=False, header_style='dim')
-        table.add_column('node', min_width=20)
-        table.add_column('state', min_width=10)
-        for name in ('since', 'process', 'memory', 'restarts'):
-            table.add_column(name, justify='right', min_width=9)
-        for watched in supervisor.nodes:
-            table.add_row(*_row(watched, now_s))
-        return Padding(Group(table, Text(), _runs(supervisor), Text(
-            'Ctrl-C ends the current run and the graph', style='dim',
-        )), (1, 0, 0, 0))
-
-
-def _row(watched: WatchedNode, now_s: float) -> list[RenderableType]:
-    pid = watched.process.pid
-    memory = memory_mb(pid)
-    return [
-        watched.name,
-        Text(watched.state, style=_STYLES[watched.state]),
-        _span(now_s - watched.since_s),
-        str(pid),
-        '' if memory is None else f'{memory:.0f} MB',
-        str(watched.restarts) if watched.restarts else '',
-    ]
-
-
-def _runs(supervisor: Supervisor) -> Text:
-    runs = supervisor.runs
-    if runs.running:
-        words = [f'run {runs.run_id}: step {runs.seq}']
-    elif runs.run_id:
-        words = [f'run {runs.run_id}: starting']
-    else:
-        words = ['idle' if supervisor.ready else 'waiting for the nodes']
-    words += [f'{number} {outcome}' for outcome, number in sorted(dict(runs.outcomes).items())]
-    return Text('   '.join(words))
-
-
-def _span(seconds: float) -> str:
-    return str(datetime.timedelta(seconds=int(max(seconds, 0.0))))
-
-
-_INFRA = 4
-
-
-def make_up_options(
-    *, perception: str, controller: str, out: Path | None, record: bool, images: str,
-    settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
-    latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
-    namespace: str = '', world: str = KMWH,
-) -> UpOptions:
-    """Validate the options of ``taxinet up``, as its command line has them.
-
-    Raises:
-        UsageError: an option is invalid.
+    To run scenes, use `ros2 run taxinet_ros scenario_sampler` in another terminal, in the ROS
+    domain printed. Ctrl-C ends the current run and the graph in order; a second one kills it. Exit
+    code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
     """
-    check_perception(perception, graph=True)
-    if images not in IMAGES:
-        raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
-    if restart not in list(Restart):
-        raise UsageError(f'--restart {restart}: unknown; known: {", ".join(Restart)}')
-    overrides, gains = split_settings(settings)
+    from taxinet_ros.cli.run.up_view import UpView
+    from taxinet_ros.core.assurance.switch import check_controller
+    from taxinet_ros.core.perception.perception import check_perception
+    from taxinet_ros.core.world import find_world, world_word
+    from taxinet_ros.nodes.graph.launch_plan import absolute_namespace
+    from taxinet_ros.nodes.graph.runner import GraphOptions
+    from taxinet_ros.nodes.graph.standing import UpOptions, run_standing_graph
+    from taxinet_ros.nodes.graph.supervisor import GraphLostError, Restart, SupervisionOptions
+    from taxinet_ros.nodes.running.domain import BY_HAND, domain_number
+    from taxinet_ros.processes.interrupts import interrupts
+    from taxinet_ros.trials.options import (
+        DEFAULT_ROOT,
+        IMAGES,
+        check_new,
+        check_not_free,
+        check_timing,
+        new_folder,
+        recorded_images,
+        split_settings,
+    )
+
+    if not record:
+        refuse_given(context, ('images',), 'has no effect with --no-record; leave one out')
+    perceives, steers = word_of(context, 'perception'), controller_of(context)
+    check_perception(perceives, graph=True)
+    for option, word, known in (('images', images, IMAGES), ('restart', restart, list(Restart))):
+        if word not in known:
+            raise UsageError(f'--{option} {word}: unknown; known: {", ".join(known)}')
+    overrides, gains = split_settings(settings or ())
     if overrides:
         raise UsageError(
             f'--set {next(iter(overrides))}: scenario values are set by the sampler; use '
             'steering.<gain>=value'
         )
-    check_controller(controller, gains, graph=True)
-    timing = check_timing(latency, free=free, factor=real_time_factor)
-    check_not_free(timing, controller)
-    chosen = find_world(world)
+    check_controller(steers, gains, graph=True)
+    timing = check_timing(latency or (), free=free, factor=real_time_factor)
+    check_not_free(timing, steers)
+    chosen = find_world(world_word(world, camera))
     if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
     out = out or new_folder(DEFAULT_ROOT / 'up')
     check_new(out)
-    return UpOptions(
+    options = UpOptions(
         graph=GraphOptions(
-            perception=perception,
-            out=out,
-            images=recorded_images(chosen, images),
-            gains=gains,
-            controller=controller,
-            timing=timing,
-            world=chosen.name,
+            perception=perceives, out=out, images=recorded_images(chosen, images), gains=gains,
+            controller=steers, timing=timing, world=chosen.name,
         ),
-        record=record,
-        domain=domain,
-        namespace=absolute_namespace(namespace, '--namespace '),
-        care=SupervisionOptions(restart=Restart(restart), silent_s=silent_s),
+        record=record, domain=domain, namespace=absolute_namespace(namespace, '--namespace '),
+        care=SupervisionOptions(restart=Restart(restart), silent_s=silent_after),
     )
-
-
-def run_up(options: UpOptions) -> int:
-    """Keep the graph up until it is stopped.
-
-    Returns:
-        Exit code: that of the interrupt that stopped it; 4 if it could not be kept up.
-    """
     view = UpView(Console(highlight=False), options)
     with interrupts(view.stop):
         try:
@@ -227,5 +154,5 @@ def run_up(options: UpOptions) -> int:
             view.say('killed')
         except GraphLostError as error:
             print(f'taxinet: error: {error}', file=sys.stderr)
-            return _INFRA
+            return ExitCode.INFRA
     return ExitCode.INTERRUPTED

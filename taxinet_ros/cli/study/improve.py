@@ -89,7 +89,7 @@ def improve(
     resume: Annotated[
         bool, typer.Option('--resume', help='continue in --out, with its own options')
     ] = False,
-) -> None:
+) -> int:
     """Improve a network in rounds: falsify, cluster failures, retrain, evaluate, keep if better.
 
     Every stage does what a printed taxinet command does. Exit codes: 0 done, 130 interrupted,
@@ -100,59 +100,51 @@ def improve(
             'out', 'workers', 'resume', 'engine', 'audit', 'cluster',
         }
         refuse_given(context, others, 'is taken from the folder that --resume continues')
-    options = None if resume else ImproveOptions(
+    asked = None if resume else ImproveOptions(
         program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
         validation=validation, counterexamples=counterexamples, add=tuple(add or ()),
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
         margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
-    raise typer.Exit(_run(options, out, workers, engine, audit, cluster))
-
-
-def _run(
-    options: ImproveOptions | None, out: Path | None, workers: int, engine: str,
-    audit: str | None, cluster: str | None,
-) -> int:
-    """Run the rounds and print their results; without options, those of ``out``."""
     console = Console(highlight=False)
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
     with_engine((), engine, audit)  # checks them before anything is made
     where = check_cluster(cluster) if cluster else ''
-    if options is not None:
-        check_workers(options.workers)
-    options, out = _begun(options, out, workers)
+    if asked is not None:
+        check_workers(asked.workers)
+    options, folder = _begun(asked, out, workers)
     check_workers(options.workers)
 
     def show(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
-    rounds: list[dict[str, Any]] = []
-    with open_study(out, show) as record:
+    made: list[dict[str, Any]] = []
+    with open_study(folder, show) as record:
         if OPTIONS not in record.entries:
             record.put(OPTIONS, _COMMAND, dataclasses.asdict(options))
         show(
             f'improve {options.start} on {options.program}: at most {options.rounds} rounds of 3 '
-            f'times {options.runs:,} runs -> {out}'
+            f'times {options.runs:,} runs -> {folder}'
         )
-        show(f'every stage runs in {out}')
+        show(f'every stage runs in {folder}')
 
         def run_stages(stages: Sequence[Stage]) -> None:
             StudyRun(
-                out, with_engine(stages, engine, audit, where), record=record, work=call_stage,
+                folder, with_engine(stages, engine, audit, where), record=record, work=call_stage,
                 workers=options.workers, show=show,
             ).run()
 
         try:
-            for done in improve_network(out, options, run_stages):
-                rounds.append(done.to_json())
-                record.put('round', str(done.number), rounds[-1])
-                write_atomically(out / ROUNDS_NAME, json.dumps(rounds, indent=2) + '\n')
+            for done in improve_network(folder, options, run_stages):
+                made.append(done.to_json())
+                record.put('round', str(done.number), made[-1])
+                write_atomically(folder / ROUNDS_NAME, json.dumps(made, indent=2) + '\n')
                 for line in ('', *round_lines(done, options.rounds)):
                     show(line)
         except StoppedError as stopped:
             return stopped.code
-    show(f'network: {out / BEST}; decisions of the rounds: {out / ROUNDS_NAME}')
+    show(f'network: {folder / BEST}; decisions of the rounds: {folder / ROUNDS_NAME}')
     return ExitCode.OK
 
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import typer
 
-from taxinet_ros.cli.analysis.commands import analyze, explain, localize
+from taxinet_ros.cli.analysis.analyze import analyze
+from taxinet_ros.cli.analysis.explain import explain
+from taxinet_ros.cli.analysis.localize import localize
 from taxinet_ros.cli.run.commands import experiment, shrink
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.study.stages.stage import Stage
@@ -53,7 +55,7 @@ def _falsify(
 def _train(
     program: str, *, add: Sequence[str] = (), add_runs: Sequence[str] = (), **options: Any
 ) -> int:
-    from taxinet_ros.cli.training.network import run_train  # torch takes time to import
+    from taxinet_ros.cli.training.train import run_train  # torch takes time to import
     from taxinet_ros.training.data.portions import parse_portion
     from taxinet_ros.training.options import TrainOptions
 
@@ -70,14 +72,10 @@ def _report(_: str, options: Mapping[str, Any]) -> int:
 
 
 def _command(
-    command: Callable[..., None], kind: Callable[[str], object] = Path
+    command: Callable[..., int | None], kind: Callable[[str], object] = Path
 ) -> Callable[[str, Mapping[str, Any]], int]:
     """The function of a command, whose argument is a path or of another kind."""
-    def call(argument: str, options: Mapping[str, Any]) -> int:
-        command(kind(argument), **options)
-        return ExitCode.OK
-
-    return call
+    return lambda argument, options: command(kind(argument), **options) or ExitCode.OK
 
 
 _FUNCTIONS: Mapping[str, Callable[[str, Mapping[str, Any]], int]] = {

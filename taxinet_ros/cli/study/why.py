@@ -68,7 +68,7 @@ def why(
         'what is done in it is kept')
     ] = None,
     as_json: JsonOption = False,
-) -> None:
+) -> int:
     """Find out why a campaign or a run failed, and what to do.
 
     Analyzes the failures, drives some again with perfect estimates, explains the worst run of each
@@ -77,20 +77,10 @@ def why(
     to all evidence, and the command that mends it. After an interrupt, the same command continues.
     Exit codes: 0 a verdict, 3 unclear, 130 interrupted.
     """
-    raise typer.Exit(_run(
-        path, perception, Budget(runs=budget), workers, engine, audit, cluster, out,
-        as_json=as_json,
-    ))
-
-
-def _run(
-    subject: Path, perception: str | None, budget: Budget, workers: int, engine: str,
-    audit: str | None, cluster: str | None, out: Path | None, *, as_json: bool,
-) -> int:
     console = Console(highlight=False, stderr=as_json)
     with_engine((), engine, audit)  # checks them before anything is made
     where = check_cluster(cluster) if cluster else ''
-    path = subject.absolute()
+    subject, path = path, path.absolute()
     kind = kind_of(path)
     out = (out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
     if out.is_dir() and any(out.iterdir()) and not (out / RECORD_NAME).is_file():
@@ -100,7 +90,7 @@ def _run(
     def show(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
-    show(f'why {kind} {subject}: at most about {budget.runs} runs -> {_near(out)}')
+    show(f'why {kind} {subject}: at most about {budget} runs -> {_near(out)}')
     with open_study(out, show) as record:
         _claim(record, out, path)
         (out / 'logs').mkdir(exist_ok=True)
@@ -115,7 +105,7 @@ def _run(
             return sitting.refused
 
         work = Investigation(
-            path=path, out=out, perception=perception, budget=budget,
+            path=path, out=out, perception=perception, budget=Budget(runs=budget),
             workers=workers, run_stages=run_stages,
         )
         try:

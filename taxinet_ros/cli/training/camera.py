@@ -1,232 +1,184 @@
-"""``taxinet camera``: frames, contact sheets, shadows, and comparison with labelled frames."""
+"""``taxinet camera``: list, describe and try cameras; render frames and contact sheets."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from PIL import Image
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+import typer
 
-from taxinet_ros.analysis.camera.compare import (
-    Comparison,
-    QuantityErrors,
-    compare_frames,
-    comparison_scenes,
-    comparison_sheet,
-)
-from taxinet_ros.analysis.camera.shadow import shadow_appearances
-from taxinet_ros.analysis.camera.sheets import (
-    HOURS,
-    POSE,
-    camera_sheet,
-    scene_picture,
-    sheet_scenes,
-)
 from taxinet_ros.cli.checked import tell_doubts
-from taxinet_ros.core.camera.airframe import covering_doubts
-from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
-from taxinet_ros.core.perception.perception import Perception, make_perception
-from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.renderer import OURS
-from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
+from taxinet_ros.cli.completion import complete_aircraft
+from taxinet_ros.cli.help import command_group
+from taxinet_ros.cli.options import (
+    PictureOption,
+    RendererOption,
+    ScenarioOption,
+    refuse_given,
+)
+from taxinet_ros.cli.training.labelled_frames import compare
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.options import DEFAULT_ROOT, read_settings
 
-SUFFIX = '.png'
+if TYPE_CHECKING:
+    from taxinet_ros.core.rig.camera_model import CameraModel
+
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
+camera_app = command_group('Render camera frames, and compare them with labelled images.')
 
-def save_frame(settings: Iterable[str], out: Path | None, camera: str = OURS) -> None:
-    """Write the frame of one scene and print its path.
 
-    Raises:
-        UsageError: bad settings, a camera that cannot show them, or a file that cannot be written.
-        InfraError: the camera failed.
-    """
-    scene = scenario_from_human(read_settings(settings))
+@camera_app.command('show')
+def show_camera(
+    context: typer.Context,
+    camera: Annotated[
+        str | None,
+        typer.Argument(metavar='[CAMERA]', help='shipped name, or YAML file of one (default: list '
+                       'those that are shipped)'),
+    ] = None,
+    aircraft: Annotated[
+        str | None,
+        typer.Option(
+            metavar='NAME|FILE', help='aircraft: caravan, c172p, or a YAML file of one',
+            autocompletion=complete_aircraft,
+        ),
+    ] = None,
+    out: PictureOption = None,
+    yaml: Annotated[
+        Path | None,
+        typer.Option(
+            '--yaml', metavar='FILE.yaml', writable=True, dir_okay=False,
+            help='also write it as a YAML file, to be changed; must be new',
+        ),
+    ] = None,
+) -> None:
+    """Describe a camera, and draw what it sees on an aircraft and where it looks, or list all."""
+    from taxinet_ros.analysis.camera.rig_pictures import draw_camera
+    from taxinet_ros.cli.training.pictures import new_picture, write_picture
+    from taxinet_ros.core.camera.airframe import covering_doubts
+    from taxinet_ros.core.motion.aircraft import checked_aircraft
+    from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
+
+    if camera is None:
+        refuse_given(context, ('aircraft', 'out', 'yaml'), 'only with a CAMERA')
+        for name in CAMERAS.shipped:
+            found = CAMERAS.find(name)
+            print(f'{name:<6} {found.width_px}x{found.height_px}  {found.title}')
+        return
+    found = CAMERAS.typed(camera)
+    on = checked_aircraft(AIRCRAFT.typed(aircraft or AIRCRAFT.default))
+    path = new_picture(out, f'camera-{found.name}')
+    if yaml is not None:
+        _write_camera(found, yaml)
+    for label, text in _lines(found):
+        print(f'{label:<12}{text}')
+    write_picture(path, lambda: draw_camera(found, on, path))
+    print(f'picture: {path}' if yaml is None else f'picture: {path}, file: {yaml}')
+    tell_doubts(covering_doubts(on, found))
+
+
+@camera_app.command('frame')
+def frame(
+    settings: ScenarioOption = None,
+    camera: RendererOption = 'ours',
+    out: PictureOption = None,
+) -> None:
+    """Render the first camera frame of a run of one scene, as large as its camera makes it."""
+    from PIL import Image
+
+    from taxinet_ros.analysis.camera.sheets import scene_picture
+    from taxinet_ros.cli.training.pictures import new_picture, write_picture
+    from taxinet_ros.core.camera.airframe import covering_doubts
+    from taxinet_ros.core.scenario import scenario_from_human
+    from taxinet_ros.trials.options import read_settings
+
+    scene = scenario_from_human(read_settings(settings or ()))
     path = new_picture(out, 'camera-frame')
     write_picture(path, lambda: Image.fromarray(scene_picture(scene, camera)).save(path))
     print(f'picture: {path}')
     tell_doubts(covering_doubts(scene.aircraft_model, scene.camera_model))
 
 
-def save_sheet(
-    *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None,
-    camera: str = OURS,
+@camera_app.command('sheet')
+def sheet(
+    hours: Annotated[str, typer.Option(help='local hours, e.g. 6,6.5,7; one column each')] = '',
+    clouds: Annotated[str, typer.Option(help='cloud kinds, e.g. clear,broken; one row each')] = '',
+    rain: Annotated[
+        str, typer.Option(help='rain in percent, e.g. 0,25,100; one row each under every rain '
+        'cloud')
+    ] = '',
+    settings: ScenarioOption = None,
+    camera: RendererOption = 'ours',
+    out: PictureOption = None,
 ) -> None:
-    """Write the sheet of one pose and print its path.
+    """Render one pose at many hours and skies on one contact sheet."""
+    from taxinet_ros.analysis.camera.sheets import HOURS, camera_sheet, sheet_scenes
+    from taxinet_ros.cli.training.pictures import new_picture, numbers, words, write_picture
+    from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
+    from taxinet_ros.trials.options import read_settings
 
-    Raises:
-        UsageError: bad settings, a camera that cannot show them, or a file that cannot be written.
-        InfraError: the camera failed.
-    """
-    values = read_settings(settings)
+    values = read_settings(settings or ())
     for key, option in _AXES.items():
         if key in values:
             raise UsageError(f'--set {key}: varies over the sheet; use {option} {values[key]}')
-    columns = _numbers('--hours', hours) or HOURS
-    rains = _numbers('--rain', rain) or (0.0,)
-    kinds = _words(clouds) or (RAIN_CLOUDS if rain else CLOUDS)
+    columns = numbers('--hours', hours) or HOURS
+    rains = numbers('--rain', rain) or (0.0,)
+    kinds = words(clouds) or (RAIN_CLOUDS if rain else CLOUDS)
     scenes = sheet_scenes(values, columns, kinds, rains)
     path = new_picture(out, 'camera-sheet')
     write_picture(path, lambda: camera_sheet(scenes, path, camera))
     print(f'sheet: {path}')
 
 
-def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> None:
-    """Print the appearance of the aircraft's own shadow, hour by hour.
-
-    Raises:
-        UsageError: bad settings or hours.
-    """
-    values = read_settings(settings)
-    for key, mend in {'time_of_day_h': 'use --hours', 'shadows': 'leave it out'}.items():
-        if key in values:
-            raise UsageError(f'--set {key}: varies over the table; {mend}')
-    columns = _numbers('--hours', hours)
-    if not columns:
-        raise UsageError(f'--hours {hours!r}: expected comma-separated numbers, e.g. 13,15.5')
-    print("       sun        sun from  picture    in picture  renderer's  clear day:  its")
-    print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
-    for one in shadow_appearances(values, columns, turbidity):
-        print(
-            f'{clock_words(one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
-            f'{100 * one.share:8.1f}%  {_ratio(one.rendered)}       {_ratio(one.light)}       '
-            f'{_ratio(one.physics)}       {_ratio(one.energy)}'
-        )
+camera_app.command('compare')(compare)
 
 
-def _ratio(value: float) -> str:
-    return '    -' if math.isnan(value) else f'{value:5.3f}'
+def _write_camera(camera: CameraModel, path: Path) -> None:
+    """Write the file of a camera, with which its pictures are the same."""
+    from taxinet_ros.files.plain_values import dump_yaml
+    from taxinet_ros.trials.options import SUFFIXES
 
-
-def new_picture(out: Path | None, stem: str) -> Path:
-    """Path of a new picture: ``out``, or one below ``bags/`` named ``stem``.
-
-    Raises:
-        UsageError: ``out`` exists, is not a PNG name, or its folder does not exist.
-    """
-    if out is None:
-        return _next_free(DEFAULT_ROOT / f'{stem}{SUFFIX}')
-    if out.suffix.lower() != SUFFIX:
-        raise UsageError(f'--out {out}: pictures are PNG files; use {out.stem}{SUFFIX}')
-    if out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: already exists and is not overwritten; choose a new name')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: no such folder: {out.parent}; make it first')
-    return out
-
-
-def _next_free(wanted: Path) -> Path:
-    """First path of ``wanted``, ``NAME-2.png``, ``NAME-3.png``, … that does not exist."""
-    candidate, number = wanted, 1
-    while candidate.exists() or candidate.is_symlink():
-        number += 1
-        candidate = wanted.with_stem(f'{wanted.stem}-{number}')
-    return candidate
-
-
-def write_picture(path: Path, save: Callable[[], object]) -> None:
-    """Call ``save``, which writes ``path``; the default folder is made first.
-
-    Raises:
-        UsageError: the file cannot be written.
-    """
+    if path.suffix not in SUFFIXES:
+        raise UsageError(f'--yaml {path}: camera files end in .yaml; use {path.stem}.yaml')
     try:
-        if path.parent == DEFAULT_ROOT:
-            path.parent.mkdir(exist_ok=True)
-        save()
+        with path.open('x', encoding='utf-8') as file:
+            file.write(dump_yaml(json.loads(camera.document)))
     except OSError as error:
-        raise UsageError(f'{path}: cannot be written: {error.strerror or error}') from error
+        raise UsageError(f'--yaml {path}: cannot be written: {error.strerror}') from error
 
 
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(word.strip() for word in text.split(',') if word.strip())
+def _lines(camera: CameraModel) -> Iterator[tuple[str, str]]:
+    from taxinet_ros.core.rig.camera_model import BY_HAND
+    from taxinet_ros.core.rig.catalogue import CAMERAS
+
+    yield 'camera', f'{camera.reference}: {camera.title}'
+    x, y, z = camera.offset_m
+    ways = ((x, 'forward', 'back'), (y, 'left', 'right'), (z, 'up', 'down'))
+    words = ', '.join(f'{abs(value):g} m {one if value >= 0 else other}'
+                      for value, one, other in ways)
+    yield 'mount', f'{words} from the centre of gravity'
+    roll, pitch, yaw = map(math.degrees, (camera.roll_rad, camera.pitch_rad, camera.yaw_rad))
+    yield 'attitude', f'roll {roll:g}, pitch {pitch:g} (nose down), yaw {yaw:g} (left) deg'
+    (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
+    yield 'lens', f'focal {fx:.6g}, {fy:.6g} px, centre {cx:.6g}, {cy:.6g} px'
+    yield 'picture', f'{camera.width_px} x {camera.height_px} px, {_angles(camera)}'
+    if camera.distorts:
+        yield 'distortion', 'k1 {:g}, k2 {:g}, p1 {:g}, p2 {:g}, k3 {:g}'.format(*camera.distortion)
+    if camera.aircraft_parts == BY_HAND:
+        yield 'aircraft', "aircraft_parts: by_hand, the Caravan's cowling and nose wheel only"
+    yield 'sensor', f'exposure {camera.exposure_ev:+g} EV, noise {camera.noise_codes:g} codes'
+    if camera.shape != CAMERAS.find(CAMERAS.default).shape:
+        yield 'networks', 'take 360x200: they get the frame averaged to that, out of its aspect'
 
 
-def _numbers(option: str, text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(word) for word in _words(text))
-    except ValueError:
-        raise UsageError(
-            f'{option} {text!r}: expected comma-separated numbers, e.g. 6,6.5,7'
-        ) from None
+def _angles(camera: CameraModel) -> str:
+    """Field of view along the middle row and the middle column."""
+    import numpy as np
 
-
-def run_compare(
-    folder: Path, *, perception: str, distance_offset_m: float, settings: Iterable[str],
-    out: Path | None, json_wanted: bool,
-) -> None:
-    """Measure, write the sheet, and print the results.
-
-    Raises:
-        UsageError: bad folder, labels, pictures, settings, perception or output file.
-    """
-    if not math.isfinite(distance_offset_m):
-        raise UsageError(
-            f'--distance-offset {distance_offset_m}: must be a finite number of metres'
-        )
-    values = read_settings(settings)
-    for key in POSE:
-        if key in values:
-            raise UsageError(f'--set {key}: given by the labels of the frames; leave it out')
-    frames = read_labelled_frames(folder)
-    scenes = comparison_scenes(frames, values, distance_offset_m)
-    path = new_picture(out, f'camera-compare-{folder.resolve().name}')
-    network = _network(perception)
-    notes = Console(stderr=True, highlight=False, soft_wrap=True)
-    bar = track(frames, 'frames', console=notes, disable=not notes.is_terminal, transient=True)
-    comparison = compare_frames(bar, network)
-    write_picture(path, lambda: comparison_sheet(scenes, network, path))
-    if json_wanted:
-        head = {
-            'folder': str(folder), 'perception': perception,
-            'weights_sha256': network.fingerprint, 'distance_offset_m': distance_offset_m,
-            'sheet': str(path), 'made_on': dict(provenance()),
-        }
-        print(json.dumps({**head, **comparison.to_dict()}, indent=2, allow_nan=False))
-        notes.print(f'sheet: {path}')
-        return
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(comparison_table(comparison))
-    console.print(
-        f'{len(comparison.frames)} frames, {comparison.without_estimate} without estimate; '
-        f'perception {perception}, weights {network.fingerprint[:12]}'
-    )
-    console.print(f'sheet: {path}')
-
-
-def _network(word: str) -> Perception:
-    perception = make_perception(word)
-    if not perception.needs_image:
-        raise UsageError(
-            f'--perception {word}: uses no camera image; name taxinet or a weights file'
-        )
-    return perception
-
-
-def comparison_table(comparison: Comparison) -> Table:
-    """Table of the errors of both quantities, in display units."""
-    shown = Table('error', 'MAE', '95 % interval', 'bias', 'correlation', 'mean predictor')
-    _add_row(shown, 'cross-track, m', comparison.cte_m)
-    _add_row(shown, 'heading, deg', comparison.heading_error_deg)
-    return shown
-
-
-def _add_row(shown: Table, name: str, errors: QuantityErrors) -> None:
-    low, high = errors.mae_95 or (None, None)
-    shown.add_row(
-        name, _figure(errors.mae), f'{_figure(low)} to {_figure(high)}',
-        _figure(errors.bias, '+.2f'), _figure(errors.correlation, '.3f'),
-        _figure(errors.mean_predictor_mae),
-    )
-
-
-def _figure(value: float | None, form: str = '.2f') -> str:
-    return '-' if value is None else format(value, form)
+    u, v = (camera.width_px - 1) / 2, (camera.height_px - 1) / 2
+    x, _ = camera.straight_rays(np.array([-0.5, 2 * u + 0.5]), np.array([v, v]))
+    _, y = camera.straight_rays(np.array([u, u]), np.array([-0.5, 2 * v + 0.5]))
+    across, down = (math.degrees(math.atan(b) - math.atan(a)) for a, b in (x, y))
+    return f'field of view {across:.1f} x {down:.1f} deg'

@@ -3,35 +3,53 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
-from taxinet_ros.analysis.camera.network_view import draw_network_view, network_view
+import typer
+
 from taxinet_ros.cli.checked import check_output
-from taxinet_ros.cli.training.camera import new_picture, write_picture
-from taxinet_ros.core.perception.domain import domain_words
-from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
-from taxinet_ros.core.perception.onnx.nnet import (
-    converted,
-    description_of,
-    read_nnet,
-    write_converted,
-)
-from taxinet_ros.core.perception.onnx.sidecar import sidecar_path
-from taxinet_ros.core.perception.onnx.trial import tried_network
-from taxinet_ros.core.perception.perception import find_domain
-from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.cli.completion import one_of
+from taxinet_ros.cli.help import command_group
+from taxinet_ros.cli.options import PictureOption, ScenarioOption
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.options import read_settings
+
+network_app = command_group('Networks of others: convert them, and see what they see.')
 
 
-def convert_nnet(file: Path, out: Path, description: str) -> None:
-    """Convert a .nnet file to ONNX, with a description beside it, and print what it is.
+@network_app.command('from-nnet')
+def from_nnet(
+    file: Annotated[Path, typer.Argument(metavar='FILE.nnet', help="network in Stanford's format")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='NAME.onnx', writable=True, dir_okay=False,
+            help='network to write, with its description NAME.yaml; must be new',
+        ),
+    ],
+    description: Annotated[
+        str,
+        typer.Option(
+            metavar='NAME|FILE.yaml', autocompletion=one_of('tinytaxinet'),
+            help='what its inputs and outputs are, which the file does not say: tinytaxinet, as '
+            'of the public TinyTaxiNet, or a YAML file as in docs/onnx.md',
+        ),
+    ],
+) -> None:
+    """Convert a .nnet file to ONNX, which `--perception NAME.onnx` then takes.
 
-    Raises:
-        UsageError: a damaged file, a description that is not its own, or a name that is taken.
-        OSError: the result cannot be written.
+    With the normalisation of the file. Its answers are compared with the file's own sums before
+    anything is written.
     """
+    from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
+    from taxinet_ros.core.perception.onnx.nnet import (
+        converted,
+        description_of,
+        read_nnet,
+        write_converted,
+    )
+    from taxinet_ros.core.perception.onnx.sidecar import sidecar_path
+
     if out.suffix != ONNX_SUFFIX:
         raise UsageError(f'--out {out}: networks are {ONNX_SUFFIX} files; use {out.stem}.onnx')
     if not out.parent.is_dir():
@@ -40,7 +58,7 @@ def convert_nnet(file: Path, out: Path, description: str) -> None:
     beside = sidecar_path(out)
     own = beside.exists() and source.exists() and beside.samefile(source)
     if not own:
-        check_output(f'--out {out}: {beside}', beside)
+        check_output(f'--out {out}: {beside}', beside, own=[beside.suffix])
     for path in (out, *(() if own else (beside,))):
         if path.exists() or path.is_symlink():
             raise UsageError(f'--out {out}: {path} already exists; choose a new name')
@@ -54,13 +72,22 @@ def convert_nnet(file: Path, out: Path, description: str) -> None:
     print(f'written: {out}, {beside} (description: {source})')
 
 
-def show_network_view(network: Path, settings: Iterable[str], out: Path | None) -> None:
-    """Draw what a network gets to see of a scene's first frame; print its answer and the truth.
+@network_app.command('see')
+def see(
+    network: Annotated[Path, typer.Argument(metavar='NETWORK.onnx', help='an ONNX network')],
+    settings: ScenarioOption = None,
+    out: PictureOption = None,
+) -> None:
+    """Draw what an ONNX network gets to see of a scene's first frame, and print its answer."""
+    from taxinet_ros.analysis.camera.network_view import draw_network_view, network_view
+    from taxinet_ros.cli.training.pictures import new_picture, write_picture
+    from taxinet_ros.core.perception.domain import domain_words
+    from taxinet_ros.core.perception.onnx.trial import tried_network
+    from taxinet_ros.core.perception.perception import find_domain
+    from taxinet_ros.core.scenario import scenario_from_human
+    from taxinet_ros.trials.options import read_settings
 
-    Raises:
-        UsageError: an unusable network, bad settings, or a file that cannot be written.
-    """
-    scene = scenario_from_human(read_settings(settings))
+    scene = scenario_from_human(read_settings(settings or ()))
     loaded, _ = tried_network(network)
     path = new_picture(out, f'network-{network.stem}')
     found = network_view(loaded, scene)

@@ -136,7 +136,7 @@ class _Reader:
             rows = list(self._rows(icao))
         except (OSError, EOFError) as error:
             what = getattr(error, 'strerror', None) or str(error)
-            raise UsageError(f'--apt-dat {self._path}: cannot be read: {what}') from None
+            raise UsageError(f'{self._path}: cannot be read: {what}') from None
         if not rows:
             raise UsageError(f'{self._path}: has no airport {icao}')
         first = rows[0]

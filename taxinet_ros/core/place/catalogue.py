@@ -12,12 +12,20 @@ from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.place_file import make_place, read_place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
+from taxinet_ros.errors import UsageError
 
 SHIPPED_TRACKS = ('runway', 'exit_left', 'rapid_exit')
 """Tracks at the shipped places, see :class:`.track.Track`."""
 
-_OF_AIRPORT = re.compile(r'(.+\.dat(?:\.gz)?):([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
-"""``FILE:ICAO/RUNWAY``, optionally with ``@ZONE``."""
+_OF_AIRPORT = re.compile(
+    r'(?:(.+\.dat(?:\.gz)?):)?([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
+"""``FILE:ICAO/RUNWAY`` or ``ICAO/RUNWAY``, optionally with ``@ZONE``."""
+_APT_DAT = (
+    '/usr/share/games/flightgear/Airports/apt.dat.gz', '/usr/share/flightgear/Airports/apt.dat.gz',
+    '~/X-Plane 12/Global Scenery/Global Airports/Earth nav data/apt.dat',
+    '~/X-Plane 11/Custom Scenery/Global Airports/Earth nav data/apt.dat',
+)
+"""Where FlightGear and X-Plane put theirs."""
 
 
 class Places(Catalogue[Place]):
@@ -28,13 +36,15 @@ class Places(Catalogue[Place]):
 
         Args:
             text: as for every catalogue; or ``apt.dat:ICAO/RUNWAY`` (with ``@ZONE`` for the time
-                zone).
+                zone), or ``ICAO/RUNWAY`` of the apt.dat that ``TAXINET_APT_DAT`` names, or of an
+                installed simulator's.
 
         Raises:
             UsageError: none of these, or an invalid file.
         """
         if airport := _OF_AIRPORT.fullmatch(text):
             path, icao, runway, zone = airport.groups(default='')
+            path = path or _installed_apt_dat(text)
             return _place_of_airport(path, icao, runway, zone, _version(path))
         return super().typed(text)
 
@@ -84,6 +94,15 @@ def _place_of_airport(
     from taxinet_ros.core.place.apt_dat import read_airport_place
 
     return find_place(read_airport_place(Path(path), icao, runway, zone).text)
+
+
+def _installed_apt_dat(text: str) -> str:
+    known = (os.path.expanduser(name) for name in _APT_DAT)
+    found = os.getenv('TAXINET_APT_DAT') or next(filter(os.path.isfile, known), '')
+    if not found:
+        raise UsageError(
+            f'place {text}: no apt.dat found; name one in TAXINET_APT_DAT, or as FILE.dat:{text}')
+    return found
 
 
 def _version(path: str) -> tuple[int, ...]:

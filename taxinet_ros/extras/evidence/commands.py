@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.help import DefaultCommand, command_group
+from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.errors import ExitCode
 
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from taxinet_ros.extras.evidence.verify import Verification
 
 evidence_app = command_group(
-    'Write evidence toward a requirement, all by hash, and verify it. '
-    'taxinet evidence CAMPAIGN... --out DIR is short for taxinet evidence write CAMPAIGN...',
-    DefaultCommand,
+    'Write evidence toward a requirement, all by hash, and verify it.'
 )
 NetworkOption = Annotated[
     list[str] | None,

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from own_shadow import clear_day, shaded_light, shadow_appearances
 
-from taxinet_ros.analysis.camera.shadow import clear_day, shaded_light, shadow_appearances
 from taxinet_ros.core.camera.light import LUMINANCE, scenario_light, sun_position
 from taxinet_ros.core.scenario import Scenario
 

@@ -14,7 +14,6 @@ from campaign_records import write_campaign
 from taxinet_ros.analysis import network_check
 from taxinet_ros.analysis.network_check import NetworkCheck, fixed_scenes, scenes_digest
 from taxinet_ros.analysis.runs.campaign import read_runs
-from taxinet_ros.cli.analysis import check
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
@@ -225,8 +224,8 @@ def test_given_a_check_then_json_has_all_and_quiet_only_what_is_wrong(
                 network=network, fingerprint='f', scenes=scenes,
                 trials=(trial(True, 1.0), trial(network == 'truth', -1.0)))
 
-    monkeypatch.setattr(check, 'fixed_scenes', lambda number: scenes)
-    monkeypatch.setattr(check, 'check_networks', results)
+    monkeypatch.setattr(network_check, 'fixed_scenes', lambda number: scenes)
+    monkeypatch.setattr(network_check, 'check_networks', results)
     code, said, _ = taxinet('check', 'truth', 'original', '--json')
     good, bad = json.loads(said)
     assert (code, good['exit_code'], bad['exit_code']) == (1, 0, 1)

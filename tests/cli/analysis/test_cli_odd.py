@@ -84,8 +84,8 @@ def test_gaps_are_filled_with_everything_that_decided_the_runs_but_the_odds_own_
 ):
     taxinet(
         'run', 'nominal', '--perception', 'truth', '--runs', '2', '--set', 'duration=0.2', '--set',
-        'clouds=stratus', '--set', 'steering.heading_gain=0.5', '--spec', 'on_runway', '--camera',
-        'nose', '--engine', 'loop', '--audit', '0', '--out', 'found',
+        'clouds=stratus', '--set', 'steering.heading_gain=0.5', '--spec', 'on_runway', '--set',
+        'camera=nose', '--engine', 'loop', '--audit', '0', '--out', 'found',
     )
     said = taxinet('odd', 'coverage', 'found', '--odd', 's_falsif')[1]
     assert said.partition('fill them: ')[2].splitlines()[0] == (

@@ -9,7 +9,6 @@ import pytest
 from taxinet_process import taxinet
 
 from taxinet_ros.analysis.runs.campaign import read_runs, runs_of
-from taxinet_ros.cli.run.commands import falsify
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
@@ -79,8 +78,6 @@ def test_r5_given_bags_of_free_and_other_runs_then_monitor_marks_them_and_counts
 
 
 def test_r5_given_free_runs_then_a_search_or_a_localisation_of_them_is_refused(folder, tmp_path):
-    with pytest.raises(UsageError, match=r'^--free: not in a search, which needs reproducible'):
-        falsify(None, 'nominal', free=True)
     with pytest.raises(UsageError, match='free runs: free runs depend on the speed of'):
         make_localize_options(folder, runs=None, words=(), workers=1, out=tmp_path / 'never',
                               perception=None)

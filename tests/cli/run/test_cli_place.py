@@ -32,14 +32,14 @@ def apt_dat(tmp_path: Path) -> Path:
 
 
 def test_given_no_more_words_when_listed_then_every_shipped_place_has_a_line():
-    done = taxinet('place', 'list')
+    done = taxinet('place')
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines()] == list(SHIPPED_PLACES)
     assert '; tracks runway, exit_left\n' in done.stdout
 
 
 def test_given_a_shipped_place_when_shown_then_it_is_told_and_drawn(tmp_path):
-    done = taxinet('place', 'show', 'nzqn_05', '--out', tmp_path / 'map.png')
+    done = taxinet('place', 'nzqn_05', '--out', tmp_path / 'map.png')
     assert done.returncode == 0, done.stderr
     assert 'end 05      -45.020123 168.734924, threshold displaced by 59.7 m' in done.stdout
     assert 'clocks      Pacific/Auckland' in done.stdout
@@ -49,7 +49,7 @@ def test_given_a_shipped_place_when_shown_then_it_is_told_and_drawn(tmp_path):
 
 
 def test_given_the_same_place_when_drawn_twice_then_the_bytes_are_the_same(tmp_path, apt_dat):
-    words = ('place', 'show', 'XTST', '--runway', '27', '--apt-dat', apt_dat, '--out')
+    words = ('place', f'{apt_dat}:XTST/27', '--out')
     outs = [tmp_path / name for name in ('one.png', 'two.png')]
     for out in outs:
         done = taxinet(*words, out)
@@ -61,7 +61,7 @@ def test_given_the_same_place_when_drawn_twice_then_the_bytes_are_the_same(tmp_p
 def test_given_an_airport_when_run_there_then_the_table_says_so(tmp_path, apt_dat, monkeypatch):
     monkeypatch.setenv('TAXINET_APT_DAT', str(apt_dat))
     done = taxinet(
-        'run', 'nominal', '--perception', 'truth', '--airport', 'XTST', '--runway', '9',
+        'run', 'nominal', '--perception', 'truth', '--set', 'place=XTST/9',
         '--set', 'distance_m=500', '--set', 'duration_s=1', '--out', tmp_path / 'out',
     )
     assert done.returncode == 0, done.stderr
@@ -93,8 +93,7 @@ def test_given_a_track_when_run_then_it_is_in_the_table_and_the_run_can_be_repea
 
 
 @pytest.mark.parametrize(('words', 'line'), [
-    (('--runway', '04'), '--runway and --apt-dat: only with --airport'),
-    (('--airport', 'XTST'), '--airport XTST: name the end to taxi from, as --runway 04'),
+    (('--set', 'place=XTST/9'), 'found; name one in TAXINET_APT_DAT, or as FILE.dat:XTST/9'),
     (('--set', 'place=mars'), "place is 'mars', not one of kmwh_04, bikf_10, nzqn_05"),
     (('--set', 'place=no.yaml'), 'no.yaml: cannot be read: No such file or directory'),
     (('--set', 'place=nzqn_05', '--set', 'crossing=on'), 'crossing has no effect at nzqn_05'),

@@ -1,4 +1,4 @@
-"""``taxinet aircraft`` and ``camera list|show``; ``--aircraft`` and ``--camera``."""
+"""``taxinet aircraft`` and ``camera show``; the aircraft and the camera of a scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ field_of_view_deg: 80
 
 
 @pytest.mark.parametrize(('words', 'names'), [
-    (('aircraft', 'list'), AIRCRAFT.shipped), (('camera', 'list'), CAMERAS.shipped),
+    (('aircraft',), AIRCRAFT.shipped), (('camera', 'show'), CAMERAS.shipped),
 ])
 def test_given_no_more_words_when_listed_then_every_shipped_one_has_a_line(words, names):
     done = taxinet(*words)
@@ -33,7 +33,7 @@ def test_given_no_more_words_when_listed_then_every_shipped_one_has_a_line(words
 def test_given_a_model_when_shown_then_what_its_file_leaves_out_is_measured(tmp_path):
     shutil.copytree(Path(jsbsim.__file__).parent / 'aircraft' / 'J3Cub', tmp_path / 'J3Cub')
     (tmp_path / 'own.yaml').write_text('name: own\nmodel: ./J3Cub\n')
-    done = taxinet('aircraft', 'show', tmp_path / 'own.yaml')
+    done = taxinet('aircraft', tmp_path / 'own.yaml')
     assert done.returncode == 0, done.stderr
     assert 'model       J3Cub (JSBSim), 4 files carried by scenarios' in done.stdout
     assert 'settled     {height_m: 1.16' in done.stdout
@@ -44,7 +44,7 @@ def test_given_a_model_when_shown_then_what_its_file_leaves_out_is_measured(tmp_
 def test_given_an_aircraft_when_shown_twice_then_it_is_drawn_in_the_same_bytes(tmp_path):
     outs = [tmp_path / name for name in ('one.png', 'two.png')]
     for out in outs:
-        done = taxinet('aircraft', 'show', 'c172p', '--out', out)
+        done = taxinet('aircraft', 'c172p', '--out', out)
         assert done.returncode == 0, done.stderr
     assert '40 convex parts cast its shadow' in done.stdout
     assert outs[0].read_bytes() == outs[1].read_bytes()
@@ -74,11 +74,11 @@ def test_a_shipped_camera_written_as_yaml_makes_the_same_frame_and_a_changed_one
     assert 'aircraft_parts: by_hand' in done.stdout
     for camera in ('wing', own):
         frames.append(tmp_path / f'{len(frames)}.png')
-        done = taxinet('camera', 'frame', '--camera', camera, '--out', frames[-1])
+        done = taxinet('camera', 'frame', '--set', f'camera={camera}', '--out', frames[-1])
         assert (done.returncode, done.stderr) == (0, '')
     assert frames[0].read_bytes() == frames[1].read_bytes()
     own.write_text(own.read_text().replace('by_hand', 'outline').replace('10.42', '10.4'))
-    done = taxinet('camera', 'frame', '--camera', own, '--out', tmp_path / 'covered.png')
+    done = taxinet('camera', 'frame', '--set', f'camera={own}', '--out', tmp_path / 'covered.png')
     assert 'the aircraft itself (caravan) covers 94 % of the picture' in done.stderr
     assert done.stderr.count('\n') == 1
     (tmp_path / 'view.png').unlink()
@@ -90,8 +90,8 @@ def test_given_a_camera_when_a_frame_is_rendered_then_it_is_as_large_as_the_came
 ):
     (tmp_path / 'mine.yaml').write_text(CAMERA)
     done = taxinet(
-        'camera', 'frame', '--camera', tmp_path / 'mine.yaml', '--aircraft', 'c172p', '--out',
-        tmp_path / 'frame.png',
+        'camera', 'frame', '--set', f'camera={tmp_path / "mine.yaml"}', '--set', 'aircraft=c172p',
+        '--out', tmp_path / 'frame.png',
     )
     assert done.returncode == 0, done.stderr
     with Image.open(tmp_path / 'frame.png') as frame:
@@ -102,8 +102,9 @@ def test_given_files_when_run_then_the_table_has_their_digests_and_the_bag_needs
     (tmp_path / 'mine.yaml').write_text(CAMERA)
     (tmp_path / 'own.yaml').write_text('name: own\nmodel: c172p\nmost_wind_mps: 4\n')
     done = taxinet(
-        'run', 'nominal', '--perception', 'truth', '--aircraft', tmp_path / 'own.yaml',
-        '--camera', tmp_path / 'mine.yaml', '--set', 'duration_s=1', '--out', tmp_path / 'out',
+        'run', 'nominal', '--perception', 'truth', '--set', f'aircraft={tmp_path / "own.yaml"}',
+        '--set', f'camera={tmp_path / "mine.yaml"}', '--set', 'duration_s=1',
+        '--out', tmp_path / 'out',
     )
     assert done.returncode == 0, done.stderr
     table = (tmp_path / 'out' / 'runs.csv').read_text()
@@ -117,10 +118,10 @@ def test_given_files_when_run_then_the_table_has_their_digests_and_the_bag_needs
 
 
 @pytest.mark.parametrize(('words', 'line'), [
-    (('--aircraft', 'a380'), "aircraft is 'a380', not one of caravan, c172p"),
-    (('--camera', 'no.yaml'), 'no.yaml: cannot be read: No such file or directory'),
-    (('--camera', 'nose', '--set', 'camera=tail'), '--set camera=nose: camera is given twice'),
-    (('--aircraft', 'c172p', '--set', 'wind_speed_mps=9'), 'more than 5: the wind would lift'),
+    (('--set', 'aircraft=a380'), "aircraft is 'a380', not one of caravan, c172p"),
+    (('--set', 'camera=no.yaml'), 'no.yaml: cannot be read: No such file or directory'),
+    (('--camera', 'nose'), "'nose' is unknown; known: ours, "),
+    (('--set', 'aircraft=c172p', '--set', 'wind_speed_mps=9'), 'more than 5: the wind would lift'),
 ])
 def test_given_no_such_rig_when_run_then_one_line_says_why(tmp_path, words, line):
     done = taxinet('run', 'nominal', *words, '--out', tmp_path / 'out')
@@ -131,7 +132,8 @@ def test_given_no_such_rig_when_run_then_one_line_says_why(tmp_path, words, line
 
 def test_given_an_aircraft_that_cannot_taxi_when_run_then_one_line_says_why(tmp_path):
     (tmp_path / 'own.yaml').write_text('name: own\nmodel: F450\n')
-    done = taxinet('run', 'nominal', '--aircraft', tmp_path / 'own.yaml', '--out', tmp_path / 'o')
+    done = taxinet(
+        'run', 'nominal', '--set', f'aircraft={tmp_path / "own.yaml"}', '--out', tmp_path / 'o')
     assert done.returncode == 2
     assert 'aircraft own: no wheel of the model F450 steers' in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -143,8 +145,8 @@ def test_given_a_camera_that_fits_the_aircraft_only_when_both_are_named_then_it_
     )
     (tmp_path / 'low.yaml').write_text(CAMERA.replace('[2.0, 0, 0.8]', '[-8.0, 0, -1.5]'))
     done = taxinet(
-        'run', 'nominal', '--camera', tmp_path / 'low.yaml', '--aircraft', tmp_path / 'high.yaml',
-        '--out', tmp_path / 'out',
+        'run', 'nominal', '--set', f'camera={tmp_path / "low.yaml"}',
+        '--set', f'aircraft={tmp_path / "high.yaml"}', '--out', tmp_path / 'out',
     )
     assert done.returncode == 2
     assert 'camera mine on aircraft high is -' in done.stderr, 'not on the usual Caravan'

@@ -58,10 +58,10 @@ SPEC = ('--spec', 'near=always[1:2](abs(cte) <= 0.01)')
 DECIDES = {
     'scene': ('nominal', (
         '--set', 'clouds=stratus', '--set', 'time_of_day=6:30', '--set', 'cross_track=3',
-        '--camera', 'nose', '--set', 'steering.heading_gain=0.2',
+        '--set', 'camera=nose', '--set', 'steering.heading_gain=0.2',
     ), 'nominal with duration_s=2, clouds=stratus, time_of_day_h=6.5, '),
     'place': ('nominal', (
-        '--set', 'place=own.yaml', '--aircraft', 'c172p', '--set', 'distance=500', '--set',
+        '--set', 'place=own.yaml', '--set', 'aircraft=c172p', '--set', 'distance=500', '--set',
         'heading=-20', '--latency', 'perception=0.4', '--rate', 'cte=30', '--set', 'rain=0',
     ), 'nominal with duration_s=2, place=own_16@'),
     'system': ('mine.scenic', (

@@ -1,4 +1,4 @@
-"""``taxinet evidence``: exit codes, the word that may be left out, refusals in one line."""
+"""``taxinet evidence``: exit codes, refusals in one line."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ def test_given_a_claim_then_the_code_says_what_became_of_it(
 ):
     planted(tmp_path / 'found', outcomes)
     words = () if claim is None else ('--claim', claim)
-    found, out, _ = taxinet('evidence', 'found', *words, '--out', 'evidence')
+    found, out, _ = taxinet('evidence', 'write', 'found', *words, '--out', 'evidence')
     assert found == code
     assert 'known limits' in out
     assert 'next: taxinet evidence verify evidence' in out
     assert '\n' not in out.strip().splitlines()[-1]
 
 
-def test_given_the_word_write_or_options_first_then_it_is_the_same(taxinet, tmp_path):
+def test_given_other_names_and_options_first_then_it_is_the_same(taxinet, tmp_path):
     planted(tmp_path / 'found', [PASS, FAIL])
     assert taxinet('evidence', 'write', 'found', '--out', 'one')[0] == 0
-    assert taxinet('evidence', '--out', 'two', 'found')[0] == 0
+    assert taxinet('evidence', 'write', '--out', 'two', 'found')[0] == 0
     assert (tmp_path / 'one' / 'MANIFEST').read_bytes() == (
         tmp_path / 'two' / 'MANIFEST').read_bytes()
-    code, out, _ = taxinet('evidence', 'found', '--out', 'three', '--json')
+    code, out, _ = taxinet('evidence', 'write', 'found', '--out', 'three', '--json')
     assert code == 0
     assert json.loads(out)['schema'] == 'taxinet-evidence-3'
 
 
 def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, tmp_path):
     planted(tmp_path / 'found', [PASS, FAIL])
-    taxinet('evidence', 'found', '--out', 'evidence')
+    taxinet('evidence', 'write', 'found', '--out', 'evidence')
     code, out, err = taxinet('evidence', 'verify', 'evidence', '--sample', '0')
     assert (code, err) == (0, '')
     assert 'note    no run was driven again, as asked by --sample 0' in out
@@ -55,12 +55,12 @@ def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, t
 
 
 @pytest.mark.parametrize(('words', 'complaint'), [
-    (['nowhere', '--out', 'e'], 'nowhere: not a campaign'),
-    (['found', '--out', 'found'], '--out found: already exists'),
-    (['found', '--out', 'e', '--claim', 'all'], '--claim all: expected a share'),
-    (['found', '--out', 'e', '--claim', '100%'], 'no number of runs shows 100 %'),
+    (['write', 'nowhere', '--out', 'e'], 'nowhere: not a campaign'),
+    (['write', 'found', '--out', 'found'], '--out found: already exists'),
+    (['write', 'found', '--out', 'e', '--claim', 'all'], '--claim all: expected a share'),
+    (['write', 'found', '--out', 'e', '--claim', '100%'], 'no number of runs shows 100 %'),
     (['verify', 'found'], 'found: no evidence'),
-    (['found'], "Missing option '--out'"),
+    (['write', 'found'], "Missing option '--out'"),
 ])
 def test_given_wrong_words_then_one_line_and_code_2(taxinet, tmp_path, words, complaint):
     planted(tmp_path / 'found', [PASS])

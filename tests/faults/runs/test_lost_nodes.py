@@ -16,7 +16,7 @@ from waiting import PATIENT_S
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.recovery import recover
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.bag.info import show_info
+from taxinet_ros.cli.bag.info import info
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
 from taxinet_ros.nodes.interface import PERCEPTION, RECORDER, SIMULATOR
@@ -101,7 +101,7 @@ def check_bag(bag, result, who, capfd) -> None:
         # One that hung is woken when the graph ends, and may still finish its bag.
         woken = who == RECORDER and result.kind == 'timeout' and read_info(bag).complete
         if who == RECORDER and not woken:
-            assert show_info(bag, as_json=False) == 3
+            assert info(bag) == 3
             out = capfd.readouterr().out
             assert 'NOT WHOLE: ' in out
             assert f'taxinet bag recover {bag} --out NEW' in out

@@ -12,7 +12,7 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.facts import free_account
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
+from taxinet_ros.cli.bag.replay import run_replay
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judging import Judging, StopOn
@@ -140,9 +140,10 @@ def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slo
         make_shrink_options(bag, perception='truth', specs=('phi_always',), nominal=(), runs=100,
                             workers=1, out=tmp_path / 'never', resume=False, images='none')
     with pytest.raises(UsageError, match='a free run, whose unanswered frames'):
-        run_replay(ReplayOptions(
-            recording=open_recording(bag), target='perception', perception='truth', controller=None,
-            tolerance_cte_m=0.0, tolerance_he_deg=0.0, out=tmp_path / 'r'))
+        run_replay(
+            open_recording(bag), 'perception', perception='truth', controller=None,
+            out=tmp_path / 'r', allowed={},
+        )
     assert list(tmp_path.iterdir()) == []
 
 

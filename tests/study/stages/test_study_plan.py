@@ -55,7 +55,7 @@ def test_given_a_stage_then_its_function_has_the_options_of_its_command(
     monkeypatch.setattr('taxinet_ros.cli.run.commands._start_scenic', lambda: None)
     monkeypatch.setattr('taxinet_ros.cli.run.search.run_falsify',
                         lambda options, **_: asked.append(options) or 0)
-    monkeypatch.setattr('taxinet_ros.cli.training.network.run_train', asked.append)
+    monkeypatch.setattr('taxinet_ros.cli.training.train.run_train', asked.append)
     stage, = with_engine([FOUND[name]], 'loop', '5')
     if stage.command == 'falsify':  # with a network that is there
         stage = dataclasses.replace(stage, options={**stage.options, 'perception': 'original'})

@@ -1,0 +1,61 @@
+"""``taxinet spec``: how requirements are parsed."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from taxinet_ros.cli.completion import complete_gain, complete_spec
+from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.errors import UsageError
+
+
+def spec(
+    formulas: Annotated[
+        list[str],
+        typer.Argument(
+            metavar='FORMULA...',
+            help='phi_eventually, usable, NAME=FORMULA, a formula, or a YAML file of them',
+            autocompletion=complete_spec,
+        ),
+    ],
+    duration: Annotated[float, typer.Option(help='length of the runs to be judged [s]')] = 30,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set', metavar='steering.GAIN=VALUE', help='a controller gain',
+            autocompletion=complete_gain,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show how requirements are parsed, and warn of likely mistakes.
+
+    Runs nothing. Exit codes: 0 valid, with or without warnings; 2 invalid.
+    """
+    from taxinet_ros.core.motion.controller import SteeringGains
+    from taxinet_ros.core.mtl import parse_spec
+    from taxinet_ros.core.scenario import Scenario
+    from taxinet_ros.core.verdict.judge import check_specs
+    from taxinet_ros.trials.options import read_specs, split_settings
+    from taxinet_ros.trials.summary import requirement_lines
+
+    specs = [parse_spec(text) for text in read_specs(formulas)]
+    others, gains = split_settings(settings or ())
+    if others:
+        raise UsageError(f'--set {next(iter(others))}: only controller gains apply here')
+    found = check_specs(specs, Scenario(duration_s=duration), SteeringGains(**gains))
+    if as_json:
+        print(json.dumps({
+            'specs': [
+                {'spec': spec.name, 'formula': spec.text, 'understood': line}
+                for spec, line in zip(specs, found.lines, strict=True)
+            ],
+            'warnings': list(found.warnings),
+        }, indent=2))
+        return
+    for line in requirement_lines(found):
+        Console(highlight=False).print(line, soft_wrap=True)

@@ -1,0 +1,114 @@
+"""``taxinet evaluate``: measure a network's errors on single frames."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from taxinet_ros.cli.options import (
+    JsonOption,
+    PerceptionOption,
+    PicturesArgument,
+    RendererOption,
+    refuse_given,
+)
+from taxinet_ros.errors import UsageError
+
+if TYPE_CHECKING:
+    from taxinet_ros.training.evaluation import SliceErrors
+
+_QUANTITIES = {'cte_m': ('cross-track', 'm'), 'he_deg': ('heading', 'deg')}
+
+
+def evaluate(
+    context: typer.Context,
+    program: PicturesArgument = None,
+    data: Annotated[
+        Path | None, typer.Option(help='folder of labelled images instead of a program')
+    ] = None,
+    perception: PerceptionOption = 'taxinet',
+    images: Annotated[int, typer.Option(help='images to render, one per scene')] = 2_000,
+    seed: Annotated[
+        int, typer.Option(min=0, help='seed of the scenes; must differ from that of the training')
+    ] = 2,
+    camera: RendererOption = 'ours',
+    workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure a network's errors on single frames.
+
+    On rendered scenes, by light and position, or on a folder of labelled images.
+    """
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.core.provenance import provenance
+    from taxinet_ros.core.renderer import OURS
+    from taxinet_ros.training.evaluation import (
+        evaluate_folder,
+        evaluate_program,
+        image_perception,
+    )
+
+    if data is not None and program is None:
+        why = 'for rendered scenes; with --data every image is read in order, leave it out'
+        refuse_given(context, ('images', 'seed', 'camera', 'workers'), why)
+    if (program is None) == (data is None):
+        raise UsageError('evaluate: give either a program or --data')
+    looker = image_perception(perception)
+    with stage_bars(Console(stderr=as_json)) as show:
+        if data is not None:
+            rows = evaluate_folder(looker, data, show)
+        else:
+            assert program is not None
+            rows = evaluate_program(
+                looker, program, images=images, seed=seed, workers=workers, progress=show,
+                camera=camera,
+            )
+    facts = {'perception': perception, 'fingerprint': looker.fingerprint}
+    facts |= {'data': str(data)} if data else {'program': str(program), 'seed': str(seed)}
+    facts |= {} if camera == OURS else {'camera': camera}
+    if as_json:
+        values = {**facts, 'made_on': dict(provenance()), 'slices': [asdict(row) for row in rows]}
+        print(json.dumps(values, indent=2))
+        return
+    _print_errors(rows, ', '.join(f'{name} {value}' for name, value in facts.items()))
+
+
+def _print_errors(rows: Sequence[SliceErrors], title: str) -> None:
+    console = Console(highlight=False)
+    console.print(title, soft_wrap=True, markup=False)
+    table = Table(box=None, pad_edge=False)
+    table.add_column('\nimages', no_wrap=True)
+    for heading in ('\nn', 'no\nestimate'):
+        table.add_column(heading, justify='right')
+    for name, unit in _QUANTITIES.values():
+        table.add_column(escape(f'{name}\nMAE [{unit}]'), justify='right', no_wrap=True)
+        table.add_column('\np99', justify='right')
+    for row in (row for row in rows if row.images):
+        cells = [cell for quantity in _QUANTITIES for cell in _error_cells(row, quantity)]
+        table.add_row(row.name, str(row.images), str(row.without_estimate), *cells)
+    console.print(table)
+    console.print('MAE: mean absolute error, with its 95 % confidence interval', style='dim')
+    for quantity, turned in rows[0].mirrored.items():
+        (name, unit), error = _QUANTITIES[quantity], rows[0].errors[quantity]['mae']
+        console.print(
+            f'{name}: the estimates fall where the truth rises. With the other sign, the MAE would '
+            f'be {turned:.3g} {unit} instead of {error:.3g}: left is positive; see "positive" in '
+            'the description of a network in ONNX, or the signs of its labels.',
+            soft_wrap=True, style='bold',
+        )
+
+
+def _error_cells(row: SliceErrors, quantity: str) -> tuple[str, str]:
+    if not row.errors:
+        return '-', '-'
+    errors, half = row.errors[quantity], row.half_widths[quantity]
+    interval = '' if half is None else f' ± {half:.3f}'
+    return f'{errors["mae"]:.3f}{interval}', f'{errors["p99"]:.2f}'

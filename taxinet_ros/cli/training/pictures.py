@@ -1,0 +1,70 @@
+"""Pictures that commands write: their paths, errors of writing, and lists of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.options import DEFAULT_ROOT
+
+SUFFIX = '.png'
+
+
+def new_picture(out: Path | None, stem: str) -> Path:
+    """Path of a new picture: ``out``, or one below ``bags/`` named ``stem``.
+
+    Raises:
+        UsageError: ``out`` exists, is not a PNG name, or its folder does not exist.
+    """
+    if out is None:
+        return _next_free(DEFAULT_ROOT / f'{stem}{SUFFIX}')
+    if out.suffix.lower() != SUFFIX:
+        raise UsageError(f'--out {out}: pictures are PNG files; use {out.stem}{SUFFIX}')
+    if out.exists() or out.is_symlink():
+        raise UsageError(f'--out {out}: already exists and is not overwritten; choose a new name')
+    if not out.parent.is_dir():
+        raise UsageError(f'--out {out}: no such folder: {out.parent}; make it first')
+    return out
+
+
+def _next_free(wanted: Path) -> Path:
+    """First path of ``wanted``, ``NAME-2.png``, ``NAME-3.png``, … that does not exist."""
+    candidate, number = wanted, 1
+    while candidate.exists() or candidate.is_symlink():
+        number += 1
+        candidate = wanted.with_stem(f'{wanted.stem}-{number}')
+    return candidate
+
+
+def write_picture(path: Path, save: Callable[[], object]) -> None:
+    """Call ``save``, which writes ``path``; the default folder is made first.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    try:
+        if path.parent == DEFAULT_ROOT:
+            path.parent.mkdir(exist_ok=True)
+        save()
+    except OSError as error:
+        raise UsageError(f'{path}: cannot be written: {error.strerror or error}') from error
+
+
+def words(text: str) -> tuple[str, ...]:
+    """The words of a comma-separated list."""
+    return tuple(word.strip() for word in text.split(',') if word.strip())
+
+
+def numbers(option: str, text: str) -> tuple[float, ...]:
+    """The numbers of a comma-separated list, which an option has.
+
+    Raises:
+        UsageError: one is no number.
+    """
+    try:
+        return tuple(float(word) for word in words(text))
+    except ValueError:
+        raise UsageError(
+            f'{option} {text!r}: expected comma-separated numbers, e.g. 6,6.5,7'
+        ) from None

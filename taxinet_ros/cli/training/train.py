@@ -1,0 +1,151 @@
+"""``taxinet train``: train a network on rendered scenes or labelled images."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from taxinet_ros.cli.checked import check_output
+from taxinet_ros.cli.options import PicturesArgument, VariedOption, refuse_given
+
+if TYPE_CHECKING:
+    from taxinet_ros.training.options import TrainOptions
+
+
+def train(
+    context: typer.Context,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='NAME.safetensors', writable=True, dir_okay=False, help='weights file to write'
+        ),
+    ],
+    program: PicturesArgument = None,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(help='folder of labelled images instead of a program; repeatable'),
+    ] = None,
+    images: Annotated[int, typer.Option(help='images to render, one per scene')] = 12_000,
+    validation: Annotated[
+        int, typer.Option(
+            help='additional validation images; what is added brings more, in proportion'
+        )
+    ] = 1_500,
+    validation_data: Annotated[
+        Path | None, typer.Option(help='folder of validation images, instead')
+    ] = None,
+    sampler: Annotated[
+        str, typer.Option(help='how scenes are drawn: random, halton, sobol or grid')
+    ] = 'random',
+    validation_program: Annotated[
+        str | None, typer.Option(help='program of the validation scenes, instead')
+    ] = None,
+    add: Annotated[
+        list[str] | None,
+        typer.Option(metavar='PROGRAM=COUNT', help='add scenes of another program; repeatable'),
+    ] = None,
+    add_runs: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='CAMPAIGN=COUNT',
+            help="add positions along the paths of a campaign's failed runs; repeatable",
+        ),
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(help='initial weights, word or file (default: random)')
+    ] = None,
+    varied: VariedOption = False,
+    augment: Annotated[
+        bool,
+        typer.Option(
+            '--augment', help='augment images: random exposure, focus and noise at each use'
+        ),
+    ] = False,
+    epochs: Annotated[int, typer.Option(help='epochs')] = 20,
+    batch: Annotated[int, typer.Option(help='batch size')] = 64,
+    learning_rate: Annotated[float, typer.Option(help='maximum learning rate of the '
+    'schedule')] = 3e-3,
+    patience: Annotated[
+        int,
+        typer.Option(
+            help='stop after this many epochs without improvement (0: never); the best epoch is '
+            'kept anyway, and most of the improvement comes at the end of the schedule'
+        ),
+    ] = 0,
+    seed: Annotated[int, typer.Option(help='random seed')] = 1,
+    workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
+    overwrite: Annotated[bool, typer.Option('--overwrite', help='overwrite existing '
+    'output')] = False,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue an interrupted command')
+    ] = False,
+) -> None:
+    """Train TaxiNet on rendered scenes or labelled images.
+
+    Writes weights, model card and learning curves; until then NAME.part, for --resume.
+    """
+    from taxinet_ros.training.data.portions import parse_portion
+    from taxinet_ros.training.options import TrainOptions
+
+    if data and program is None:
+        why = 'for rendered scenes; with --data every image is used, leave it out'
+        refuse_given(context, ('images', 'sampler'), why)
+    if validation_data is not None:
+        why = 'with --validation-data all of its images are used; leave one out'
+        refuse_given(context, ('validation',), why)
+    run_train(TrainOptions(
+        program=program, data=tuple(data or ()), validation_data=validation_data, out=out,
+        sampler=sampler, validation_program=validation_program, start=start,
+        add=(
+            *(parse_portion(text, 'program') for text in add or ()),
+            *(parse_portion(text, 'runs') for text in add_runs or ()),
+        ),
+        images=images, validation=validation, varied=varied, augment=augment, epochs=epochs,
+        batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, workers=workers,
+        overwrite=overwrite, resume=resume,
+    ))
+
+
+def run_train(options: TrainOptions) -> None:
+    """Train, with a bar per stage, and print the errors on the validation images.
+
+    Raises:
+        UsageError: an option is invalid, or a file beside the weights would replace a record.
+    """
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.core.perception.domain import domain_words
+    from taxinet_ros.core.perception.weights import card_path
+    from taxinet_ros.processes.interrupts import ToldInterrupt
+    from taxinet_ros.training.train import train
+
+    beside = card_path(options.out), options.curves_path, options.history_path
+    for path in beside if options.out.suffix else ():
+        check_output(f'train: --out {options.out}: {path}', path, own=[path.suffix])
+    console = Console(highlight=False)
+    try:
+        with stage_bars(console) as show:
+            card = train(options, show)
+    except KeyboardInterrupt:
+        if not options.unfinished.exists():
+            raise
+        words = [word for word in sys.argv[1:] if word != '--resume']
+        Console(stderr=True).print(
+            f'interrupted; {options.unfinished} keeps pictures and epochs, continue with '
+            f'{shlex.join(["taxinet", *words, "--resume"])}',
+            soft_wrap=True, highlight=False, markup=False,
+        )
+        raise ToldInterrupt from None
+    for quantity, errors in card.errors.items():
+        figures = ', '.join(f'{name} {value:.3g}' for name, value in errors.items())
+        console.print(f'{quantity}: {figures}', soft_wrap=True)
+    console.print(f'domain: {domain_words(card.domain)}', soft_wrap=True)
+    console.print(
+        f'weights: {options.out} (epoch {card.best_epoch}), model card: {card_path(options.out)}, '
+        f'learning curves: {options.curves_path}, {options.history_path.name}',
+        soft_wrap=True,
+    )
