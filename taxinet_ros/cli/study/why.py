@@ -80,6 +80,7 @@ def why(
     console = Console(highlight=False, stderr=as_json)
     with_engine((), engine, audit)  # checks them before anything is made
     where = check_cluster(cluster) if cluster else ''
+    limit = Budget(runs=budget)
     subject, path = path, path.absolute()
     kind = kind_of(path)
     out = (out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
@@ -105,7 +106,7 @@ def why(
             return sitting.refused
 
         work = Investigation(
-            path=path, out=out, perception=perception, budget=Budget(runs=budget),
+            path=path, out=out, perception=perception, budget=limit,
             workers=workers, run_stages=run_stages,
         )
         try:
