@@ -160,8 +160,4 @@ def document_name(section: Section, example: str) -> str:
     Raises:
         UsageError: missing, or not a lower-case word.
     """
-    kind = f'a lower-case word, such as {example}'
-    name = section.text('name', kind=kind)
-    if not NAME.fullmatch(name):
-        raise section.wrong(f'expected {kind}, got {name!r:.60}', 'name')
-    return name
+    return section.text('name', kind=f'a lower-case word, such as {example}', matching=NAME)

@@ -8,6 +8,7 @@ expected value.
 from __future__ import annotations
 
 import json
+import re
 import reprlib
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
@@ -229,12 +230,18 @@ class Section:
         value = self._values.get(key) if optional else self.take(key, f'KEY: VALUE pairs{keys}')
         return self._within(key, {} if value is None and optional else value, known)
 
-    def sections(self, key: str, known: Sequence[str]) -> list[Section]:
-        """A non-empty list of mappings."""
+    def sections(
+        self, key: str, known: Sequence[str], *, optional: bool = False, most: int | None = None
+    ) -> list[Section]:
+        """A non-empty list of mappings, at most ``most``; empty if it is optional and missing."""
+        if optional and key not in self._values:
+            return []
         kind = f'a list of entries with the keys {", ".join(known)}'
         value = self.take(key, kind)
         if not isinstance(value, list) or not value:
             raise self.wrong(expected(kind, value), key)
+        if most is not None and len(value) > most:
+            raise self.wrong(f'{len(value)} of them, more than {most}', key)
         return [self._within(f'{key}[{index}]', entry, known) for index, entry in enumerate(value)]
 
     def several(self, key: str) -> list[Section]:
@@ -248,15 +255,18 @@ class Section:
         ]
 
     def text(
-        self, key: str, default: str | None = None, *, kind: str = 'a word', empty: bool = False
+        self, key: str, default: str | None = None, *, kind: str = 'a word', empty: bool = False,
+        matching: re.Pattern[str] | None = None,
     ) -> str:
-        """Any text; ``kind`` describes the expected value."""
+        """Any text, or one ``matching`` a pattern; ``kind`` describes the expected value."""
         if default is not None and key not in self._values:
             return default
         value = self.take(key, kind)
         if not isinstance(value, str) or not (value or empty):
             mend = "; put it in '…' quotes" if isinstance(value, int | float) else ''
             raise self.wrong(expected(kind, value) + mend, key)
+        if matching is not None and not matching.fullmatch(value):
+            raise self.wrong(expected(kind, value), key)
         return value
 
     def word(self, key: str, choices: Sequence[str], default: str | None = None) -> str:
@@ -269,8 +279,10 @@ class Section:
             raise self.wrong(expected(kind, value), key)
         return value
 
-    def switch(self, key: str) -> bool:
+    def switch(self, key: str, default: bool | None = None) -> bool:
         """True or false."""
+        if default is not None and key not in self._values:
+            return default
         value = self.take(key, 'true or false')
         if not isinstance(value, bool):
             raise self.wrong(expected('true or false', value), key)
@@ -301,8 +313,13 @@ class Section:
             raise self.wrong(expected(kind, value) + mend, key)
         return float(value)
 
-    def numbers(self, key: str, count: int, low: float, high: float) -> tuple[float, ...]:
+    def numbers(
+        self, key: str, count: int, low: float, high: float,
+        default: tuple[float, ...] | None = None,
+    ) -> tuple[float, ...]:
         """A list of ``count`` numbers, all from ``low`` to ``high``."""
+        if default is not None and key not in self._values:
+            return default
         kind = f'a list of {count} number{"s" if count > 1 else ""}, {low:g} to {high:g}'
         value = self.take(key, kind)
         if (
@@ -312,6 +329,23 @@ class Section:
         ):
             raise self.wrong(expected(kind, value), key)
         return tuple(map(float, value))
+
+    def rows(
+        self, key: str, columns: str, reach_m: float, least: int, most: int | None = None
+    ) -> list[tuple[float, ...]]:
+        """A list of ``least`` to ``most`` lists of coordinates, ``x, y``, up to ``reach_m``."""
+        count = len(columns.split(', '))
+        kind = f'{least} or more lists [{columns}]'
+        rows = self.take(key, kind)
+        if not isinstance(rows, list) or not least <= len(rows) <= (most or len(rows)):
+            raise self.wrong(expected(kind, rows), key)
+        for row in rows:
+            if not (
+                isinstance(row, list) and len(row) == count
+                and all(is_number(one, -reach_m, reach_m) for one in row)
+            ):
+                raise self.wrong(expected(f'[{columns}] in metres', row), key)
+        return [tuple(map(float, row)) for row in rows]
 
     def _within(self, key: str, value: object, known: Sequence[str] | None) -> Section:
         return Section(self.path, value, known, where=self._inner(key), about=self._about)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -30,12 +31,7 @@ from taxinet_ros.core.place.track import (
     check_room,
     make_track,
 )
-from taxinet_ros.files.plain_values import (
-    Section,
-    expected,
-    is_number,
-    read_yaml,
-)
+from taxinet_ros.files.plain_values import Section, read_yaml
 
 _KEYS = ('name', 'title', 'icao', 'time_zone', 'runway', 'pavements', 'lines', 'routes', 'tracks')
 _RUNWAY_KEYS = (
@@ -83,7 +79,6 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
     """
     top = Section(path, values, _KEYS)
     name = document_name(top, 'kmwh_04')
-    icao = _matching(top, 'icao', _ICAO, 'an ICAO code in capitals') if 'icao' in top else ''
     zone = top.text('time_zone', kind='a time zone, such as Pacific/Auckland or UTC-08:00')
     try:
         time_zone(zone)
@@ -93,27 +88,15 @@ def make_place(values: object, path: Path, *, shipped: bool = False) -> Place:
     return Place(
         name=name,
         title=top.text('title', name, kind='a title'),
-        icao=icao,
+        icao=top.text('icao', '', kind='an ICAO code in capitals', matching=_ICAO),
         runway=_runway(top.section('runway', _RUNWAY_KEYS), zone),
-        pavements=tuple(_pavement(one) for one in _entries(top, 'pavements', _PAVEMENT_KEYS)),
-        lines=tuple(_line(one) for one in _entries(top, 'lines', _LINE_KEYS)),
-        routes=tuple(_route(one) for one in _entries(top, 'routes', _ROUTE_KEYS)),
+        pavements=tuple(map(_pavement, top.sections('pavements', _PAVEMENT_KEYS, optional=True))),
+        lines=tuple(map(_line, top.sections('lines', _LINE_KEYS, optional=True))),
+        routes=tuple(map(_route, top.sections('routes', _ROUTE_KEYS, optional=True))),
         tracks=_tracks(top, checked=not shipped),
         document=canonical(values),
         shipped=shipped,
     )
-
-
-def _matching(section: Section, key: str, pattern: re.Pattern[str], kind: str) -> str:
-    text = section.text(key, kind=kind)
-    if not pattern.fullmatch(text):
-        raise section.wrong(expected(kind, text), key)
-    return text
-
-
-def _entries(section: Section, key: str, known: tuple[str, ...]) -> list[Section]:
-    """Sections of an optional list of mappings."""
-    return section.sections(key, known) if key in section else []
 
 
 def _runway(section: Section, zone: str) -> Runway:
@@ -127,8 +110,9 @@ def _runway(section: Section, zone: str) -> Runway:
     elevation_m = section.number('elevation_m', -430, 5000)
     length_m, bearing_deg = _extent(section, near, far, elevation_m)
     designations = tuple(
-        _matching(one, 'designation', _DESIGNATION, "a runway's number, such as '04' or '16R'")
-        for one in ends
+        one.text(
+            'designation', kind="a runway's number, such as '04' or '16R'", matching=_DESIGNATION
+        ) for one in ends
     )
     if abs(int(designations[0][:2]) - int(designations[1][:2])) != 18:
         raise section.wrong(f'{designations[0]} and {designations[1]} are no opposite ends', 'ends')
@@ -145,10 +129,7 @@ def _runway(section: Section, zone: str) -> Runway:
         designations=(designations[0], designations[1]),
         displaced_m=(displaced[0], displaced[1]),
         category=category,
-        edge_stripes=(
-            section.switch('edge_stripes') if 'edge_stripes' in section
-            else category == 'precision'
-        ),
+        edge_stripes=section.switch('edge_stripes', category == 'precision'),
         surface=section.word('surface', SURFACES),
         surroundings=section.word('surroundings', SURROUNDINGS, 'dry'),
         crossings=_crossings(section, length_m),
@@ -197,9 +178,9 @@ def _measured(
 
 
 def _crossings(section: Section, length_m: float) -> tuple[Crossing, ...]:
+    entries = section.sections('crossings', _CROSSING_KEYS, optional=True)
     found = sorted(
-        (_crossing(one, length_m) for one in _entries(section, 'crossings', _CROSSING_KEYS)),
-        key=lambda crossing: crossing.x_m,
+        (_crossing(one, length_m) for one in entries), key=lambda crossing: crossing.x_m
     )
     for one, following in pairwise(found):
         if one.clear_x(0.0)[1] > following.clear_x(0.0)[0]:
@@ -225,14 +206,10 @@ def _crossing(section: Section, length_m: float) -> Crossing:
         paved_m=(0.0, 0.0),
     )
     low, high = crossing.clear_x(0.0)
-    paved_m = low - _FILLET_M, high + _FILLET_M
-    if 'paved_m' in section:
-        first, last = section.numbers('paved_m', 2, -1000, length_m + 1000)
-        paved_m = first, last
-    return Crossing(
-        x_m=crossing.x_m, yaw_rad=crossing.yaw_rad, width_m=width_m,
-        clear_half_m=crossing.clear_half_m, paved_m=paved_m,
+    first, last = section.numbers(
+        'paved_m', 2, -1000, length_m + 1000, (low - _FILLET_M, high + _FILLET_M)
     )
+    return replace(crossing, paved_m=(first, last))
 
 
 _PAVEMENT_KEYS = ('surface', 'outline_m', 'holes_m')
@@ -242,37 +219,34 @@ _TRACK_KEYS = ('name', 'title', 'width_m', 'painted', 'points_m', 'radius_m')
 
 
 def _pavement(section: Section) -> Pavement:
-    kind = 'a list of outlines'
-    holes = section.take('holes_m', kind) if 'holes_m' in section else []
-    if not isinstance(holes, list):
-        raise section.wrong(expected(kind, holes), 'holes_m')
+    some = 'holes_m' in section and section.take('holes_m', 'a list of outlines') != []
     return Pavement(
         surface=section.word('surface', (*SURFACES, 'other')),
-        outline=_points(section, section.take('outline_m', 'points'), 'outline_m', 3),
-        holes=tuple(_points(section, hole, 'holes_m', 3) for hole in holes),
+        outline=_points(section, 'outline_m', 3),
+        holes=tuple(
+            _points(hole, 'holes_m', 3) for hole in (section.several('holes_m') if some else ())
+        ),
     )
 
 
 def _line(section: Section) -> PaintedLine:
-    points = section.take('points_m', 'points')
     return PaintedLine(
-        style=section.whole('style', 0, 999), points=_points(section, points, 'points_m', 2)
+        style=section.whole('style', 0, 999), points=_points(section, 'points_m', 2)
     )
 
 
 def _route(section: Section) -> TaxiRoute:
-    points = section.take('points_m', 'points')
     return TaxiRoute(
         name=section.text('name', '', kind='a name', empty=True),
-        one_way=section.switch('one_way') if 'one_way' in section else False,
-        on_runway=section.switch('on_runway') if 'on_runway' in section else False,
-        points=_points(section, points, 'points_m', 2),
+        one_way=section.switch('one_way', False),
+        on_runway=section.switch('on_runway', False),
+        points=_points(section, 'points_m', 2),
     )
 
 
 def _tracks(top: Section, *, checked: bool) -> tuple[Track, ...]:
     found: dict[str, Track] = {}
-    for section in _entries(top, 'tracks', _TRACK_KEYS):
+    for section in top.sections('tracks', _TRACK_KEYS, optional=True):
         name = document_name(section, 'exit_left')
         if name in found or name == RUNWAY_TRACK:
             raise section.wrong(f'there is a track {name} already', 'name')
@@ -281,13 +255,13 @@ def _tracks(top: Section, *, checked: bool) -> tuple[Track, ...]:
 
 
 def _track(section: Section, name: str, *, checked: bool) -> Track:
-    points = _points(section, section.take('points_m', 'points'), 'points_m', 2)
+    points = _points(section, 'points_m', 2)
     width_m = section.number('width_m', LEAST_TRACK_M, MOST_WIDTH_M)
     try:
         track = make_track(
             name, section.text('title', name, kind='a title'), width_m, points,
             _radii(section, len(points) - 2),
-            painted=section.switch('painted') if 'painted' in section else True,
+            painted=section.switch('painted', True),
         )
         if checked:  # for shipped ones a test does it, once
             check_room(track)
@@ -307,14 +281,5 @@ def _radii(section: Section, corners: int) -> tuple[float, ...]:
     return (section.number('radius_m', LEAST_RADIUS_M, _FARTHEST_M),) * corners
 
 
-def _points(section: Section, value: object, key: str, least: int) -> Polygon:
-    kind = f'a list of {least} or more points [x, y] in metres'
-    if not isinstance(value, list) or len(value) < least:
-        raise section.wrong(expected(kind, value), key)
-    for point in value:
-        if not (
-            isinstance(point, list) and len(point) == 2
-            and all(is_number(one, -_FARTHEST_M, _FARTHEST_M) for one in point)
-        ):
-            raise section.wrong(expected('a point [x, y] in metres', point), key)
-    return tuple((float(x), float(y)) for x, y in value)
+def _points(section: Section, key: str, least: int) -> Polygon:
+    return tuple((x, y) for x, y in section.rows(key, 'x, y', _FARTHEST_M, least))

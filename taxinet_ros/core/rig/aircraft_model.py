@@ -135,9 +135,7 @@ def make_aircraft(values: object, path: Path, *, shipped: bool = False) -> Aircr
             if 'max_steering_deg' in top else None
         ),
         taxi_speed_mps=_speeds(top),
-        most_wind_mps=(
-            top.number('most_wind_mps', 0.1, 60.0) if 'most_wind_mps' in top else math.inf
-        ),
+        most_wind_mps=top.number('most_wind_mps', 0.1, 60.0, math.inf),
         settled=_settled(top.section('settled', _SETTLED_KEYS)) if 'settled' in top else None,
         speed_gains=_hold(top.section('speed_hold', _HOLD_KEYS)) if 'speed_hold' in top else None,
         outline=read_outline(top) if 'outline' in top else (),
@@ -176,9 +174,7 @@ def _model(top: Section) -> tuple[str, dict[str, str]]:
 
 
 def _speeds(top: Section) -> tuple[float, float]:
-    if 'taxi_speed_mps' not in top:
-        return _SPEEDS_MPS
-    low, high = top.numbers('taxi_speed_mps', 2, *_SPEEDS_MPS)
+    low, high = top.numbers('taxi_speed_mps', 2, *_SPEEDS_MPS, _SPEEDS_MPS)
     if not low <= USUAL_SPEED_MPS <= high:
         raise top.wrong(
             f'expected the lowest and the highest, with the usual {USUAL_SPEED_MPS:g} between '

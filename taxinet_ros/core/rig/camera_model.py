@@ -238,10 +238,9 @@ def make_camera(values: object, path: Path, *, shipped: bool = False) -> CameraM
     name = document_name(top, 'wing')
     width, height = _size(top)
     x, y, z = top.numbers('offset_m', 3, -50.0, 50.0)
-    centre = top.numbers('centre_px', 2, -width - height, width + height) \
-        if 'centre_px' in top else ((width - 1) / 2, (height - 1) / 2)
-    distortion = top.numbers('distortion', 5, -10.0, 10.0) if 'distortion' in top else (0.0,) * 5
-    k1, k2, p1, p2, k3 = distortion
+    most = width + height
+    centre = top.numbers('centre_px', 2, -most, most, ((width - 1) / 2, (height - 1) / 2))
+    k1, k2, p1, p2, k3 = top.numbers('distortion', 5, -10.0, 10.0, (0.0,) * 5)
     assert isinstance(values, Mapping)
     camera = CameraModel(
         name=name,

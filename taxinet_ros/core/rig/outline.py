@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.files.plain_values import Section, expected, is_number
+from taxinet_ros.files.plain_values import Section
 
 MOST_PARTS, MOST_POINTS = 120, 40
 _REACH_M = 60.0
@@ -66,7 +66,7 @@ def read_outline(top: Section) -> tuple[Part, ...]:
         made = list(make(entry))
         if any(_is_line(points) for points, _ in made):
             raise entry.wrong(f'this {kind} is a line or a point, which nobody would see')
-        if 'mirror' in entry and entry.switch('mirror'):
+        if entry.switch('mirror', False):
             made += [(points * (1.0, -1.0, 1.0), caps) for points, caps in made]
         only = entry.word('only', _ONLY, '')
         parts += [
@@ -87,26 +87,12 @@ def _is_line(points: Points) -> bool:
 
 
 def _colour(entry: Section) -> tuple[int, int, int]:
-    if 'colour' not in entry:
-        return _WHITE
-    red, green, blue = entry.numbers('colour', 3, 0, 255)
+    red, green, blue = entry.numbers('colour', 3, 0, 255, _WHITE)
     return round(red), round(green), round(blue)
 
 
-def _rows(entry: Section, key: str, columns: str, least: int) -> list[list[float]]:
-    """A list of lists of numbers."""
-    count = len(columns.split(', '))
-    kind = f'{least} or more lists [{columns}]'
-    rows = entry.take(key, kind)
-    if not isinstance(rows, list) or not least <= len(rows) <= MOST_POINTS:
-        raise entry.wrong(expected(kind, rows), key)
-    for row in rows:
-        if not (
-            isinstance(row, list) and len(row) == count
-            and all(is_number(one, -_REACH_M, _REACH_M) for one in row)
-        ):
-            raise entry.wrong(expected(f'[{columns}] in metres', row), key)
-    return [[float(one) for one in row] for row in rows]
+def _rows(entry: Section, key: str, columns: str, least: int) -> list[tuple[float, ...]]:
+    return entry.rows(key, columns, _REACH_M, least, MOST_POINTS)
 
 
 def _hull(entry: Section) -> Iterator[Shape]:
@@ -151,7 +137,7 @@ def _body(entry: Section) -> Iterator[Shape]:
 
 def _wing(entry: Section) -> Iterator[Shape]:
     """Profiles along a wing, a tailplane or a fin, joined."""
-    upright = 'upright' in entry and entry.switch('upright')
+    upright = entry.switch('upright', False)
     profiles = [
         np.array([
             (x - share * chord, y + side * half * upright, z + side * half * (not upright))

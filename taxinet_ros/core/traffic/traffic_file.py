@@ -49,10 +49,7 @@ def make_traffic(values: object, path: Path) -> Traffic:
     Raises:
         UsageError: a value is not as it should be.
     """
-    top = Section(path, values, ('objects',))
-    found = top.sections('objects', _KEYS)
-    if len(found) > MOST_OBJECTS:
-        raise top.wrong(f'{len(found)} of them, more than {MOST_OBJECTS}', 'objects')
+    found = Section(path, values, ('objects',)).sections('objects', _KEYS, most=MOST_OBJECTS)
     return traffic_of([_object(one) for one in found])
 
 
@@ -76,15 +73,12 @@ def _object(section: Section) -> GroundObject:
         size=size,
         colour=section.word('colour', COLOURS, known.colour),
         wait_s=section.number('wait_s', 0, _LONGEST_WAIT_S, 0.0),
-        path=tuple(_legs(section, x_m, y_m)) if 'path' in section else (),
+        path=tuple(_legs(section, x_m, y_m)),
     )
 
 
 def _legs(section: Section, x_m: float, y_m: float) -> Iterable[Leg]:
-    legs = section.sections('path', _LEG_KEYS)
-    if len(legs) > _MOST_LEGS:
-        raise section.wrong(f'{len(legs)} points, more than {_MOST_LEGS}', 'path')
-    for one in legs:
+    for one in section.sections('path', _LEG_KEYS, optional=True, most=_MOST_LEGS):
         before = x_m, y_m
         x_m, y_m = _place(one)
         if math.dist(before, (x_m, y_m)) < _LEAST_LEG_M:

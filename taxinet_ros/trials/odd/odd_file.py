@@ -352,8 +352,9 @@ def read_odd(path: Path) -> Odd:
         key: section.section(given).text('unit', '') for key, given in keys.items()
     }
     exclusions = tuple(
-        _exclusion(one, parameters, units) for one in top.sections('exclude', ('when', 'why'))
-    ) if 'exclude' in top else ()
+        _exclusion(one, parameters, units)
+        for one in top.sections('exclude', ('when', 'why'), optional=True)
+    )
     odd = Odd(
         name=name, source=source, parameters=parameters, exclusions=exclusions,
         text=json.dumps(values, sort_keys=True, ensure_ascii=False, default=str),

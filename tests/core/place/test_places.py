@@ -134,7 +134,7 @@ def test_given_a_file_when_read_then_length_and_bearing_are_those_of_its_ends(tm
     ('runway.crossings', [{'x_m': x, 'yaw_deg': 80, 'width_m': 30} for x in (700, 720)],
      'runway.crossings: those at 700 m and 720 m overlap'),
     ('lines', [{'style': 1, 'points_m': [[0, 0]]}],
-     'lines[0].points_m: expected a list of 2 or more points'),
+     'lines[0].points_m: expected 2 or more lists [x, y], got [[0, 0]]'),
 ])
 def test_given_a_bad_value_when_read_then_one_line_names_file_and_key(
     tmp_path, where, value, words

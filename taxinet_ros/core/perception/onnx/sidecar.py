@@ -188,9 +188,7 @@ def _picture(section: Section) -> Picture:
 
 def _crop(section: Section) -> tuple[int, int, int, int]:
     height, width, _ = IMAGE_SHAPE
-    if 'crop' not in section:
-        return 0, 0, width, height
-    edges = section.numbers('crop', 4, 0, width)
+    edges = section.numbers('crop', 4, 0, width, (0.0, 0.0, float(width), float(height)))
     left, top, right, bottom = map(int, edges)
     whole = all(edge.is_integer() for edge in edges)
     if not (whole and left < right and top < bottom <= height):
