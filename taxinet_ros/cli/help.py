@@ -90,7 +90,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'camera show': ('taxinet camera show wing',),
     'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
     'camera sheet': ('taxinet camera sheet',),
-    'camera shadow': ('taxinet camera shadow',),
     'camera compare': ('taxinet camera compare frames --json',),
     'place list': ('taxinet place list',),
     'place show': ('taxinet place show kmwh_04',),

@@ -1,4 +1,4 @@
-"""``taxinet camera``: frames, contact sheets, shadows, and comparison with labelled frames."""
+"""``taxinet camera``: frames, contact sheets, and comparison with labelled frames."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from taxinet_ros.analysis.camera.compare import (
     comparison_scenes,
     comparison_sheet,
 )
-from taxinet_ros.analysis.camera.shadow import shadow_appearances
 from taxinet_ros.analysis.camera.sheets import (
     HOURS,
     POSE,
@@ -34,7 +33,7 @@ from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT, read_settings
 
@@ -77,33 +76,6 @@ def save_sheet(
     path = new_picture(out, 'camera-sheet')
     write_picture(path, lambda: camera_sheet(scenes, path, camera))
     print(f'sheet: {path}')
-
-
-def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> None:
-    """Print the appearance of the aircraft's own shadow, hour by hour.
-
-    Raises:
-        UsageError: bad settings or hours.
-    """
-    values = read_settings(settings)
-    for key, mend in {'time_of_day_h': 'use --hours', 'shadows': 'leave it out'}.items():
-        if key in values:
-            raise UsageError(f'--set {key}: varies over the table; {mend}')
-    columns = _numbers('--hours', hours)
-    if not columns:
-        raise UsageError(f'--hours {hours!r}: expected comma-separated numbers, e.g. 13,15.5')
-    print("       sun        sun from  picture    in picture  renderer's  clear day:  its")
-    print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
-    for one in shadow_appearances(values, columns, turbidity):
-        print(
-            f'{clock_words(one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
-            f'{100 * one.share:8.1f}%  {_ratio(one.rendered)}       {_ratio(one.light)}       '
-            f'{_ratio(one.physics)}       {_ratio(one.energy)}'
-        )
-
-
-def _ratio(value: float) -> str:
-    return '    -' if math.isnan(value) else f'{value:5.3f}'
 
 
 def new_picture(out: Path | None, stem: str) -> Path:

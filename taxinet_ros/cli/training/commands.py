@@ -267,27 +267,6 @@ def sheet(
 
 
 @camera_app.command()
-def shadow(
-    hours: Annotated[
-        str, typer.Option(help='local hours, e.g. 13,15.5; one line each')
-    ] = '12,12.5,13,13.5,14,15,16,17,17.5',
-    turbidity: Annotated[
-        float, typer.Option(help="Linke turbidity of the clear-sky reference: 3.3 is the place's "
-        "in March, 2 very clear, 5 hazy", min=1.5, max=10.0)
-    ] = 3.3,
-    settings: SetOption = None,
-) -> None:
-    """Report when the aircraft's own shadow is in the picture, and how dark compared with physics.
-
-    For the first frame of a run under a clear sky, unless changed by --set. Ratios are light on
-    shaded over light on sunlit ground: 0 is black, 1 no shadow.
-    """
-    from taxinet_ros.cli.training.camera import print_shadow
-
-    print_shadow(hours=hours, turbidity=turbidity, settings=settings or ())
-
-
-@camera_app.command()
 def compare(
     folder: Annotated[
         Path,
