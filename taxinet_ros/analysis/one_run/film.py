@@ -330,7 +330,7 @@ def _draw_robustness(
     beyond = np.clip(lower, low - 1, high + 1), np.clip(upper, low - 1, high + 1)
     area = plot.fill_between(t_s, *beyond, color=_RHO, alpha=0.25, linewidth=0)
     lines = [line for ends in beyond for line in plot.plot(t_s, ends, color=_RHO, linewidth=1.6)]
-    plot.set_title(f'robustness of {spec}', fontsize=11, loc='left')
+    plot.set_title(f'ρ of {spec}', fontsize=11, loc='left')
     return [area, *lines]
 
 

@@ -27,10 +27,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from taxinet_ros.analysis.report.parts import Link, Picture, Report, Section, Table
 from taxinet_ros.trials.rates import count_words
 
-_SECTION = re.compile(r'## ([\w-]+): (.+)')
-_FACT = re.compile(r'- (.+?):\s*(.*)')
-_LINK = re.compile(r'\[(.+)\]\((.+)\)')
-_MARKS = ('# ', '## ', '- ', '$ ', '[')
+_TITLE, _SECTION, _FACT, _COMMAND, _LINK = map(re.compile, (
+    r'# (.+)', r'## ([\w-]+): (.+)', r'- ([^:]+):\s*(.*)', r'\$ (.+)', r'\[(.+)\]\((.+)\)'))
+_MARKS = (_TITLE, _SECTION, _FACT, _COMMAND, _LINK)
 
 
 def sentences(path: Path, block: str, **values: Any) -> tuple[str, ...]:
@@ -58,52 +57,53 @@ def fill_report(
         figures: pictures and tables of the sections, by their names.
         more: what of the :class:`Report` is not text: its runs and their names.
     """
-    title, facts = '', {}
     summary, *parts = _split(_template(template).render(values))
-    for line in summary.lines:
-        if line.startswith('# '):
-            title = line[2:]
-        elif found := _FACT.fullmatch(line):
-            facts[found[1]] = found[2]
     sections = [_section(part, figures.get(part.name, ())) for part in parts]
     if lost := figures.keys() - {section.name for section in sections}:
         raise ValueError(f'{template.name}: no section {", ".join(sorted(lost))}')
     return Report(
-        title=title, facts={name: value for name, value in facts.items() if value},
-        summary=tuple(summary.sentences),
+        title=summary.heading, summary=tuple(summary.sentences),
+        facts={name: value for name, value in summary.facts.items() if value},
         sections=tuple(section for section in sections if _shown(section)), **more,
     )
 
 
 @dataclass(slots=True)
 class _Part:
-    """A section's text: its sentences, and the lines with a meaning of their own."""
+    """The text of the summary, or of a section."""
 
     name: str
     heading: str
     sentences: list[str] = field(default_factory=list)
-    lines: list[str] = field(default_factory=list)
+    facts: dict[str, str] = field(default_factory=dict)
+    commands: list[str] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)
 
 
 def _split(text: str) -> list[_Part]:
-    """The parts of a text, the summary first."""
+    """The parts of a text, the summary first; what has no meaning where it stands is a sentence."""
     parts = [_Part('', '')]
-    for paragraph in _paragraphs(text):
-        if found := _SECTION.fullmatch(paragraph):
+    for line in _paragraphs(text):
+        here, summary = parts[-1], len(parts) == 1
+        if found := _SECTION.fullmatch(line):
             parts.append(_Part(found[1], found[2]))
-        elif paragraph.startswith(_MARKS):
-            parts[-1].lines.append(paragraph)
+        elif summary and not here.heading and (found := _TITLE.fullmatch(line)):
+            here.heading = found[1]
+        elif summary and (found := _FACT.fullmatch(line)):
+            here.facts[found[1]] = found[2]
+        elif not summary and (found := _COMMAND.fullmatch(line)):
+            here.commands.append(found[1])
+        elif not summary and (found := _LINK.fullmatch(line)):
+            here.links.append(Link(words=found[1], path=found[2]))
         else:
-            parts[-1].sentences.append(paragraph)
+            here.sentences.append(line)
     return parts
 
 
 def _section(part: _Part, figures: Sequence[Picture | Table]) -> Section:
-    links = [found for line in part.lines if (found := _LINK.fullmatch(line))]
     return Section(
         name=part.name, heading=part.heading, sentences=tuple(part.sentences),
-        commands=tuple(line[2:] for line in part.lines if line.startswith('$ ')),
-        links=tuple(Link(words=found[1], path=found[2]) for found in links),
+        commands=tuple(part.commands), links=tuple(part.links),
         pictures=tuple(one for one in figures if isinstance(one, Picture)),
         tables=tuple(one for one in figures if isinstance(one, Table)),
     )
@@ -120,7 +120,7 @@ def _paragraphs(text: str) -> Iterator[str]:
     """Paragraphs, each on one line; lines with a meaning of their own are not joined."""
     lines: list[str] = []
     for line in [*text.splitlines(), '']:
-        marked = line.startswith(_MARKS)
+        marked = any(mark.fullmatch(line.rstrip()) for mark in _MARKS)
         if lines and (marked or not line.strip()):
             yield ' '.join(' '.join(lines).split())
             lines = []

@@ -56,6 +56,15 @@ def test_a_template_becomes_title_facts_summary_and_the_sections_in_which_someth
     assert sentences(template, 'most', number=3) == ('Of 3 runs most fail.',)
 
 
+def test_a_name_that_looks_like_a_command_or_a_link_is_not_lost(tmp_path):
+    path = tmp_path / 'page.j2'
+    path.write_text('# A page\n\n{{ name }} fails.\n\n## part: A part\n{{ name }} passes.\n')
+    for name in ('[mine]', '$ mine', '# mine', 'a: b'):
+        report = fill_report(path, {'name': name}, {})
+        assert report.title == 'A page'
+        assert report.summary == (f'{name} fails.',)
+
+
 def test_an_unknown_name_or_a_figure_without_its_section_is_an_error(template):
     with pytest.raises(UndefinedError, match='seed'):
         fill_report(template, {'kind': 'plain', 'number': 1}, {})

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from own_shadow import clear_day, shaded_light, shadow_appearances
+from shadow import clear_day, main, shaded_light, shadow_appearances
 
 from taxinet_ros.core.camera.light import LUMINANCE, scenario_light, sun_position
 from taxinet_ros.core.scenario import Scenario
@@ -66,3 +66,13 @@ def test_s_shadow_given_a_clearer_day_then_shade_is_darker() -> None:
 def test_s_shadow_given_clouds_then_it_is_fainter_than_under_a_clear_sky() -> None:
     (clear,), (thin,) = (shadow_appearances({'clouds': one}, [15.0]) for one in ('clear', 'cirrus'))
     assert clear.rendered + 0.05 < thin.rendered < 1
+
+
+def test_s_shadow_given_hours_then_a_line_each_tells_how_dark_it_is(
+    capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['--hours', '10', '15', '--set', 'distance=900']) == 0
+    _, _, morning, afternoon = capsys.readouterr().out.splitlines()
+    assert (morning.split()[0], morning.split()[3]) == ('10:00', '0.4%')
+    assert afternoon.split()[0] == '15:00'
+    assert [float(word) for word in afternoon.split()[4:7]] == pytest.approx([0.24] * 3, abs=0.01)

@@ -1,4 +1,4 @@
-"""Visibility and darkness of the aircraft's own shadow, compared with physics.
+"""When the aircraft's own shadow is in the picture, and how dark, compared with physics.
 
 Physics: direct and diffuse irradiance of a clear day by Ineichen and Perez (Solar Energy 73, 2002,
 pp. 151-157) for a Linke turbidity, and the luminous efficacy of each by Perez, Ineichen, Seals,
@@ -8,9 +8,12 @@ than sunlight, and brighter for the same energy.
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from common import leave
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,8 @@ from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.light import GAMMA, LUMINANCE, air_mass, scenario_light, sun_position
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.scenario_fields import clock_words
+from taxinet_ros.trials.options import read_settings
 
 LINKE_TURBIDITY = 3.3
 """For Grant County in March (monthly map of Remund, Wald, Lefèvre, Ranchin and Page, ISES Solar
@@ -143,3 +148,28 @@ def _linear(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Luminance of display codes, valid below the shoulder of the camera's tone curve."""
     found: NDArray[np.float64] = (picture / 255.0) ** GAMMA @ LUMINANCE
     return found
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Print a line for each hour: of the first frame of a run, shaded over sunlit ground."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').split('\n\n')[0])
+    parser.add_argument('--hours', nargs='+', type=float,
+                        default=[12, 12.5, 13, 13.5, 14, 15, 16, 17, 17.5])
+    parser.add_argument('--turbidity', type=float, default=LINKE_TURBIDITY,
+                        help='2 very clear, 5 hazy')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE')
+    given = parser.parse_args(words)
+    print("       sun        sun from  picture    in picture  renderer's  clear day:  its")
+    print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
+    for one in shadow_appearances(read_settings(given.set), given.hours, given.turbidity):
+        ratios = ('    -' if math.isnan(ratio) else f'{ratio:5.3f}'
+                  for ratio in (one.rendered, one.light, one.physics, one.energy))
+        print(
+            f'{clock_words(one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
+            f'{100 * one.share:8.1f}%  {"       ".join(ratios)}'
+        )
+    return 0
+
+
+if __name__ == '__main__':
+    leave(main)
