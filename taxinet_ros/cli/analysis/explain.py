@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import JsonOption, RunOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def explain(
     from taxinet_ros.training.data.image_folder import open_folder
     from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
-    console = Console(highlight=False, stderr=as_json)
+    console = line_console(stderr=as_json)
     with readable_run(bag, run_id) as recording:
         run = recording.run
         word = _network(run, perception)
@@ -97,10 +97,10 @@ def explain(
     if as_json:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
         return ExitCode.OK
-    console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
+    console.print(f'{run.request.run_id}, network {word}')
     for sentence in explain_sentences(found):
-        console.print(sentence, soft_wrap=True, markup=False)
-    console.print(f'page: {written}', soft_wrap=True, markup=False)
+        console.print(sentence)
+    console.print(f'page: {written}')
     return ExitCode.OK
 
 
