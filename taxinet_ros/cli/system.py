@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from rich.console import Console
 from rich.text import Text
 
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
 from taxinet_ros.instructions import lacking
 
@@ -69,20 +69,20 @@ def run_system_doctor(*, as_json: bool) -> int:
     Returns:
         Exit code: 0, or 4 if something is broken.
     """
-    console, checks = Console(highlight=False, stderr=as_json), []
+    console, checks = line_console(stderr=as_json), []
     for check in system_checks():
         checks.append(check)
         text = Text(f'{check.state:<8}', style=_STYLES[check.state])
         text.append(f'{check.name:<15}', style='bold')
         text.append(check.found + (f'; {check.mend}' if check.mend else ''), style='default')
-        console.print(text, soft_wrap=True)
+        console.print(text)
     broken = [check.name for check in checks if check.state == 'broken']
     if as_json:
         print(json.dumps([asdict(check) for check in checks], indent=2))
     else:
         console.print(
             f'broken: {", ".join(broken)}' if broken
-            else 'everything that runs need is here; next: taxinet demo', soft_wrap=True,
+            else 'everything that runs need is here; next: taxinet demo',
         )
     return ExitCode.INFRA if broken else ExitCode.OK
 

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -75,9 +76,9 @@ def analyze(
     if as_json:
         print(json_text(values), end='')
     else:
-        console = Console(highlight=False)
+        console = line_console()
         _print(console, findings, report, folder)
-        console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
+        console.print(f'report: {folder / PAGE_NAME}')
     return ExitCode.OK if runs.weighting.rated else ExitCode.INCOMPLETE
 
 
@@ -88,17 +89,15 @@ def _print(console: Console, findings: Findings, report: Report, folder: Path) -
     in_table = {f'{cause.rank}. {cause.sentence()}.' for cause in findings.causes.found}
     for sentence in report.summary:
         if sentence not in in_table:
-            console.print(sentence, soft_wrap=True, markup=False)
+            console.print(sentence)
     if findings.causes.found:
-        console.print(_causes(findings))
+        console.print(_causes(findings), soft_wrap=False)
         # A region selected for its rate overestimates it; fresh scenes do not.
         for cause in findings.causes.found:
             if (command := confirmation_command(findings.runs, cause, folder)) is not None:
-                console.print(f'test cause {cause.rank} on fresh scenes: {command}',
-                              soft_wrap=True, markup=False)
+                console.print(f'test cause {cause.rank} on fresh scenes: {command}')
         if why := why_no_program(findings.runs):
-            console.print(f'no program to test the causes on fresh scenes: {why}',
-                          soft_wrap=True, markup=False)
+            console.print(f'no program to test the causes on fresh scenes: {why}')
 
 
 def _causes(findings: Findings) -> Table:
@@ -134,7 +133,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
     """Show the current step on one transient line; without a terminal, a line now and then."""
     from taxinet_ros.cli.progress import Heartbeat
 
-    console = Console(stderr=True, highlight=False)
+    console = line_console(stderr=True)
     if not console.is_terminal:
         tell = Heartbeat()
         yield lambda text: tell(text, 0, 0)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import JsonOption, ProcessesCountOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 BISECT_NAME = 'bisect.json'
@@ -56,7 +56,7 @@ def bisect(
     from taxinet_ros.trials.options import DEFAULT_ROOT
     from taxinet_ros.trials.past_runs.shared_scenes import SharedTrials, scenes_of
 
-    console = Console(highlight=False, stderr=as_json)
+    console = line_console(stderr=as_json)
     if len(networks) < 2:
         raise UsageError('bisect: name two networks or more, in order, the good one first')
     prints = [check_perception(network) for network in networks]
@@ -84,14 +84,14 @@ def bisect(
         try:
             found = bisect_scenes(networks, names, drive, every=every)
         except KeyboardInterrupt:
-            console.print('interrupted; the same command goes on', soft_wrap=True)
+            console.print('interrupted; the same command goes on')
             return ExitCode.INTERRUPTED
     values = bisection_json(found)
     write_atomically(out / BISECT_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
     if as_json:
         print(json.dumps(values, indent=2, allow_nan=False))
     for line in bisection_lines(found):
-        console.print(line, soft_wrap=True, markup=False)
-    console.print(f'written: {out / BISECT_NAME}', soft_wrap=True, markup=False)
+        console.print(line)
+    console.print(f'written: {out / BISECT_NAME}')
     unclear = any(one.unclear for one in found.scenes)
     return ExitCode.INCOMPLETE if unclear else ExitCode.OK

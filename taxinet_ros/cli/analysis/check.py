@@ -6,9 +6,9 @@ import json
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import JsonOption, ProcessesCountOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -49,21 +49,21 @@ def check(
     from taxinet_ros.cli.progress import trial_bar
     from taxinet_ros.core.perception.perception import check_perception, network_doubts
 
-    told = Console(highlight=False, stderr=as_json)
+    told = line_console(stderr=as_json)
     for network in networks:
         check_perception(network)
     scenes = fixed_scenes(runs)
     drawn = [scene.scenario for scene in scenes]
     named = () if quiet else networks
     tell_doubts(line for network in named for line in network_doubts(network, drawn))
-    bars = Console(highlight=False, stderr=True, quiet=quiet)
+    bars = line_console(stderr=True, quiet=quiet)
     with trial_bar(bars, 'scenes', len(networks) * len(scenes)) as (count, interrupted):
         found = list(check_networks(
             networks, scenes, workers=workers, on_trial=(lambda: None) if quiet else count,
             interrupted=interrupted,
         ))
     if len(found) < len(networks):
-        told.print('interrupted; nothing is kept', soft_wrap=True)
+        told.print('interrupted; nothing is kept')
         return ExitCode.INTERRUPTED
     if as_json:
         print(json.dumps([one.json(allow) for one in found], indent=2, allow_nan=False))
@@ -71,7 +71,7 @@ def check(
     for one, code in zip(found, codes, strict=True):
         if not quiet or code is not ExitCode.OK:
             for line in _lines(one, allow)[:1 if quiet else None]:
-                told.print(line, soft_wrap=True, markup=False)
+                told.print(line)
     return next(code for code in _SEVERITY if code in codes)
 
 

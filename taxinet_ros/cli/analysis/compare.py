@@ -23,6 +23,7 @@ from taxinet_ros.cli.options import (
     WorldOption,
     given_among,
 )
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def compare(
     from taxinet_ros.core.world import world_word
     from taxinet_ros.trials.options import LOOP, make_options
 
-    console = Console(highlight=False, stderr=as_json)
+    console = line_console(stderr=as_json)
     networks = before, after
     named = [_is_campaign(word) for word in networks]
     of_program = given_among(context, _OF_PROGRAM)
@@ -128,7 +129,7 @@ def compare(
             shared = _scenes_of_runs(scenes, runs, of_program)
         done = _driven(shared, networks, out, workers, console)
         if done is None:
-            console.print('interrupted; the same command goes on', soft_wrap=True)
+            console.print('interrupted; the same command goes on')
             return ExitCode.INTERRUPTED
         # Nothing but the network differs between these runs.
         found = replace(compared(*distinct_labels(done)), differing=())
@@ -136,8 +137,8 @@ def compare(
     if as_json:
         print(json.dumps(compared_json(found), indent=2, allow_nan=False))
     for sentence in compared_report(found).summary:
-        console.print(sentence, soft_wrap=True, markup=False)
-    console.print(f'page: {out / PAGE_NAME}', soft_wrap=True, markup=False)
+        console.print(sentence)
+    console.print(f'page: {out / PAGE_NAME}')
     return ExitCode.OK
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import JsonOption, RunOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def explain(
     from taxinet_ros.core.perception.perception import make_perception
     from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 
-    console = Console(highlight=False, stderr=as_json)
+    console = line_console(stderr=as_json)
     with readable_run(bag, run_id) as recording:
         run = recording.run
         word = _network(run, perception)
@@ -78,10 +78,10 @@ def explain(
     if as_json:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
         return ExitCode.OK
-    console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
+    console.print(f'{run.request.run_id}, network {word}')
     for sentence in explain_report(found).summary:
-        console.print(sentence, soft_wrap=True, markup=False)
-    console.print(f'page: {written}', soft_wrap=True, markup=False)
+        console.print(sentence)
+    console.print(f'page: {written}')
     return ExitCode.OK
 
 

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from taxinet_ros.cli.completion import complete_setting
 from taxinet_ros.cli.options import JsonOption, RunOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def fork(
         raise UsageError('fork: give a moment by --at, or let --find search for it; one of them')
     if find and sweep:
         raise UsageError('fork: --sweep and --find do not go together; leave one out')
-    console = Console(highlight=False, stderr=as_json)
+    console = line_console(stderr=as_json)
     with readable_run(bag, run_id) as recording:
         past = read_past(recording)
         saved_by = 'truth' if find and not (settings or state or controller) else None
@@ -190,7 +191,7 @@ def _find(
     if found.saved is None:
         console.print(
             f'{told["run_id"]}: not saved by {told["change"]}, not even from the start '
-            f'({found.tried} forks)', soft_wrap=True, markup=False,
+            f'({found.tried} forks)',
         )
         return ExitCode.VIOLATED
     saved_s = told['last_saved_s']
@@ -201,13 +202,10 @@ def _find(
             f'point of no return {found.lost_s:g} s: saved by {told["change"]} at {saved_s:g} s, '
             f'not at {found.lost_s:g} s'
         )
-    console.print(f'{told["run_id"]}: {line} ({found.tried} forks)', soft_wrap=True, markup=False)
+    console.print(f'{told["run_id"]}: {line} ({found.tried} forks)')
     if found.later_s:
         moments = ', '.join(f'{at_s:g}' for at_s in found.later_s)
-        console.print(
-            f'but also saved at {moments} s: whether it can be saved comes and goes',
-            soft_wrap=True, markup=False,
-        )
+        console.print(f'but also saved at {moments} s: whether it can be saved comes and goes')
     _say_files(console, told)
     return ExitCode.OK
 
@@ -261,9 +259,9 @@ def _sweep(
     for row in rows:
         console.print(
             f'{key}={row[key]:g}: {_outcome_words(row["outcome"])}, '
-            f'{headline} {row["rho_lower"]:+.3f}', soft_wrap=True, markup=False,
+            f'{headline} {row["rho_lower"]:+.3f}',
         )
-    console.print(f'table: {out / "sweep.csv"}; picture: {picture}', soft_wrap=True, markup=False)
+    console.print(f'table: {out / "sweep.csv"}; picture: {picture}')
     return ExitCode.OK
 
 
@@ -391,17 +389,14 @@ def _outcome_words(outcome: str) -> str:
 def _say(console: Console, told: dict[str, Any]) -> None:
     console.print(
         f'{told["run_id"]}: {told["steps_repeated"]} steps repeated to the bit, forked at '
-        f'{told["at_s"]:g} s: {told["change"]}', soft_wrap=True, markup=False,
+        f'{told["at_s"]:g} s: {told["change"]}',
     )
     for when in ('before', 'after'):
         rho = told[when]['rho']
         tells = '' if not rho or None in rho else f', {told["headline"]} {rho[0]:+.3f}'
-        console.print(
-            f'  {when}: {_outcome_words(told[when]["outcome"])}{tells}', soft_wrap=True,
-            markup=False,
-        )
+        console.print(f'  {when}: {_outcome_words(told[when]["outcome"])}{tells}')
     _say_files(console, told)
 
 
 def _say_files(console: Console, told: dict[str, Any]) -> None:
-    console.print(f'bag: {told["bag"]}; picture: {told["picture"]}', soft_wrap=True, markup=False)
+    console.print(f'bag: {told["bag"]}; picture: {told["picture"]}')

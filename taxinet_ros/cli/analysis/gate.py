@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.checked import check_output, tell_doubts
 from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.version import __version__
 
@@ -274,7 +274,7 @@ def _driven(network: str, baseline: Path, out: Path | None, workers: int) -> _Ju
     scenes = scenes_of(baseline)
     system = scenes.system
     out = out or DEFAULT_ROOT / f'gate-{Path(network).stem.replace(":", "-")}'
-    console = Console(highlight=False, stderr=True)
+    console = line_console(stderr=True)
     tell_doubts(network_doubts(network, (scene.scenario for scene in scenes.scenes)))
     with (
         SharedTrials(scenes, out) as trials,
@@ -282,7 +282,7 @@ def _driven(network: str, baseline: Path, out: Path | None, workers: int) -> _Ju
     ):
         done = trials.drive(network, workers=workers, on_trial=count, interrupted=interrupted)
         if len(done) < len(scenes.scenes) and interrupted():
-            console.print('interrupted; the same command goes on', soft_wrap=True)
+            console.print('interrupted; the same command goes on')
             return None
         rows = tuple(trials.rows(network))
     rough = sum(not scene.exact for scene in scenes.scenes)

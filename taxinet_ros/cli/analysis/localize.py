@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import CampaignArgument, JsonOption, ProcessesCountOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -72,10 +72,10 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     from taxinet_ros.trials.past_runs.localisation import localize
     from taxinet_ros.trials.record.facts import stack_difference
 
-    console = Console(highlight=False, stderr=as_json)
-    console.print(_heading(options), soft_wrap=True, markup=False)
+    console = line_console(stderr=as_json)
+    console.print(_heading(options))
     if warning := stack_difference(options.campaign.facts, str(options.campaign.folder)):
-        console.print(warning, soft_wrap=True, markup=False)
+        console.print(warning)
     asked: list[bool] = []
     with (
         stage_bars(console) as show,
@@ -94,10 +94,10 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
         print(json.dumps(localisation_json(found) | {'complete': not unfinished}, indent=2))
     else:
         lines = [*localisation_sentences(found), f'written: {", ".join(map(str, written))}']
-        console.print('\n'.join(lines), soft_wrap=True, markup=False)
+        console.print('\n'.join(lines))
     if unfinished:
         left = options.wanted - len(trials)
-        console.print(f'interrupted, {left} trials left; run it again to continue', soft_wrap=True)
+        console.print(f'interrupted, {left} trials left; run it again to continue')
     return ExitCode.INTERRUPTED if unfinished else ExitCode.OK
 
 

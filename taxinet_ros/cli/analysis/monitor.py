@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.text import Text
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.options import BoundOption, JsonOption, RateOption, RunOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def monitor(
     else:
         lines = summary_lines(judged) if len(judged) > 1 else []
         for line in (*lines, *notes):
-            Console(highlight=False).print(line, soft_wrap=True, markup=False)
+            line_console().print(line)
     return _exit_code(judged)
 
 
@@ -244,7 +244,7 @@ def _judged(
     from taxinet_ros.cli.progress import stage_bars
     from taxinet_ros.trials.past_runs.judged_run import BagPlaces
 
-    console = Console(highlight=False, stderr=as_json)
+    console = line_console(stderr=as_json)
     chosen = None if run is None else open_recording(bags[0]).choose(run).name
     if vouched is not None and not specs:
         _check_own_read(vouched, bags, chosen)
@@ -262,7 +262,7 @@ def _judged(
             news = told.of(bag)
             if not as_json:
                 for line in (*news, *bag_lines(bag)):
-                    console.print(line, soft_wrap=True)
+                    console.print(line)
             if len(bags) > 1:
                 show('judging', len({one.path for one in judged}), len(bags))
     if not judged:

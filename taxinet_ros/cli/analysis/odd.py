@@ -16,6 +16,7 @@ from rich.table import Table
 
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -56,19 +57,16 @@ def show(odd: _OddArgument, as_json: JsonOption = False) -> int:
         return ExitCode.OK
     console = _console()
     source = f': {found.source}' if found.source else ''
-    console.print(f'ODD {found.name}{source}', soft_wrap=True)
+    console.print(f'ODD {found.name}{source}')
     table = Table(box=None, pad_edge=False)
     for heading in ('parameter', 'cells', 'source'):
         table.add_column(heading)
     for one in found.parameters:
         table.add_row(one.field.label, ', '.join(cell.label for cell in one.cells), one.source)
-    console.print(table)
+    console.print(table, soft_wrap=False)
     for exclusion in found.exclusions:
-        console.print(f'excluded: {exclusion.text} ({exclusion.why})', soft_wrap=True)
-    console.print(
-        'feasible: ' + ', '.join(f'{count:,} {_NAMES[t]}' for t, count in counts.items()),
-        soft_wrap=True,
-    )
+        console.print(f'excluded: {exclusion.text} ({exclusion.why})')
+    console.print('feasible: ' + ', '.join(f'{count:,} {_NAMES[t]}' for t, count in counts.items()))
     return ExitCode.OK
 
 
@@ -179,15 +177,15 @@ def _print(
     outside = found.judged - found.inside
     console.print(
         f'ODD {odd.name}, {", ".join(found.campaigns)}, {found.spec}: {found.judged:,} judged '
-        f'runs, {found.inside:,} inside, {outside:,} outside', soft_wrap=True,
+        f'runs, {found.inside:,} inside, {outside:,} outside',
     )
     for why, count in found.outside.items():
-        console.print(f'  outside: {count:,} {why}', soft_wrap=True)
+        console.print(f'  outside: {count:,} {why}')
     for outcome, count in found.unjudged.items():
-        console.print(f'  not judged, so they cover nothing: {count:,} {outcome}', soft_wrap=True)
+        console.print(f'  not judged, so they cover nothing: {count:,} {outcome}')
     for line in found.cautions:
-        console.print(f'  note: {line}', soft_wrap=True)
-    console.print(_cell_table(found))
+        console.print(f'  note: {line}')
+    console.print(_cell_table(found), soft_wrap=False)
     for one in found.strengths:
         below = '' if one.below is None else (
             f'; {one.below:,} fail in less than {100 * (found.limit or 0):g} % (95 %, each alone)'
@@ -195,10 +193,9 @@ def _print(
         console.print(
             f'{_NAMES[one.t]}: {one.covered:,} of {one.feasible:,} covered '
             f'({math.floor(1000 * one.share) / 10:g} %), {one.failing:,} with a failure{below}',
-            soft_wrap=True,
         )
     for gap in found.gaps:
-        console.print(f'  gap: {found.gap_words(gap)}', soft_wrap=True)
+        console.print(f'  gap: {found.gap_words(gap)}')
     _print_hole(console, found)
     for heading, keys in (
         ('never varied, though the ODD has more than one value', found.fixed),
@@ -206,7 +203,7 @@ def _print(
     ):
         if keys:
             labels = ', '.join(BY_KEY[key].label for key in keys)
-            console.print(f'{heading}: {labels}', soft_wrap=True)
+            console.print(f'{heading}: {labels}')
     open_pairs = next((one for one in found.strengths if one.covered < one.feasible), None)
     if open_pairs is not None:
         words = (
@@ -214,7 +211,7 @@ def _print(
             f'strength={open_pairs.t}',
         )
         command = _falsify_words(odd, runs, words)
-        console.print(f'fill them: {command}', soft_wrap=True, markup=False)
+        console.print(f'fill them: {command}')
 
 
 def _falsify_words(odd: Odd, runs: Sequence[CampaignRuns], words: Sequence[str]) -> str:
@@ -271,12 +268,11 @@ def _print_hole(console: Console, found: OddCoverage) -> None:
     console.print(
         f'dispersion: at least {found.hole.radius:.2f} of each range from the nearest run, at '
         f'{where}; {found.inside:,} runs cannot have less than {found.hole.least:.2f}',
-        soft_wrap=True,
     )
 
 
 def _console() -> Console:
-    console = Console(highlight=False, markup=False)
+    console = line_console()
     if not console.is_terminal:
         console.width = _WIDTH
     return console

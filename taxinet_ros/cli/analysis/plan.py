@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def plan(
     if as_json:
         print(json.dumps(_json(planned), indent=2, allow_nan=False))
         return ExitCode.OK
-    console = Console(highlight=False, markup=False)
+    console = line_console()
     if not console.is_terminal:
         console.width = _PAGE_WIDTH
     _print(console, planned)
@@ -96,7 +97,7 @@ def _print(console: Console, planned: Planned) -> None:
     what = 'leave the runway in at most' if claim.off else 'satisfy in at least'
     console.print(
         f'claim: runs {what} {_percent(claim.threshold)}, with {100 * claim.confidence:g} % '
-        'confidence', soft_wrap=True,
+        'confidence',
     )
     bad = 'off the runway' if claim.off else 'failures'
     table = Table(box=None, pad_edge=False)
@@ -110,21 +111,21 @@ def _print(console: Console, planned: Planned) -> None:
     for _, plan in sorted(plans.items()):
         chance = () if plan.chance is None else (_chance(plan.chance),)
         table.add_row(f'{plan.failures:,}', f'{plan.runs:,}', *chance)
-    console.print(table)
+    console.print(table, soft_wrap=False)
     if claim.if_true is not None:
         assert planned.powered is not None
         console.print(
             f'chance: that no more fail, if the true share is {_percent(claim.if_true)}; '
             f'{100 * claim.power:g} % takes {planned.powered.runs:,} runs, of which '
-            f'{planned.powered.failures:,} may fail', soft_wrap=True,
+            f'{planned.powered.failures:,} may fail',
         )
     console.print(
         'if you look once, at a number of runs fixed beforehand, drawn by the program itself '
-        f'(--sampler random): {_gate(claim)} --planned', soft_wrap=True,
+        f'(--sampler random): {_gate(claim)} --planned',
     )
     console.print(
         f'if you may look again: {planned.any_look:,} runs of a new campaign, a number fixed '
-        f'beforehand, without a failure: {_gate(claim)}', soft_wrap=True,
+        f'beforehand, without a failure: {_gate(claim)}',
     )
     if planned.sequential is not None:
         one = planned.sequential
@@ -132,7 +133,7 @@ def _print(console: Console, planned: Planned) -> None:
             f'sequential: taxinet falsify --sampler random --until {one.test} takes '
             f'{one.at_truth.mean_runs:,.0f} runs on average (passes {_chance(one.at_truth.passes)} '
             f'within {one.most:,}); {one.at_limit.mean_runs:,.0f} at the limit, where it passes '
-            f'{_chance(one.at_limit.passes)}', soft_wrap=True,
+            f'{_chance(one.at_limit.passes)}',
         )
 
 
@@ -154,36 +155,33 @@ def _print_further(
         f'so far {found.drawn_hits:,} of {found.drawn:,} runs{of} {what}, '
         f'{100 * found.drawn_hits / found.drawn:.3g} % (95 %: {100 * low:.3g} to '
         f'{100 * high:.3g} %)',
-        soft_wrap=True,
     )
     if rules:
         console.print(
             f'it may have ended by --until {" and ".join(rules)}, so this share is biased; the '
-            'numbers below hold at any number of runs', soft_wrap=True,
+            'numbers below hold at any number of runs',
         )
     if hopeless(planned):
-        console.print('these runs show that the claim is false', soft_wrap=True)
+        console.print('these runs show that the claim is false')
     elif found.drawn_hits / found.drawn >= claim.limit:
         console.print(
             'at this share the claim is false: it takes fewer failures from now on than so far',
-            soft_wrap=True,
         )
     if planned.further[0].drawn == 0:
-        console.print(f'the claim holds already: {_gate(claim)}', soft_wrap=True)
+        console.print(f'the claim holds already: {_gate(claim)}')
         return
     for one in planned.further:
-        console.print(_further_words(one), soft_wrap=True)
+        console.print(_further_words(one))
     if planned.likely is not None:
         share = claim.if_true if claim.if_true is not None else (
             claim.bad(found.drawn_hits / found.drawn)
         )
-        console.print(f'{_further_words(planned.likely)}, if the true share is {_percent(share)}',
-                      soft_wrap=True)
+        console.print(f'{_further_words(planned.likely)}, if the true share is {_percent(share)}')
     if found.drawn_hits:
         good = dataclasses.replace(
             found, hits=found.runs - found.hits, drawn_hits=found.drawn - found.drawn_hits)
         more = further_runs(good, 1 - claim.limit, claim.confidence)
-        console.print(f'to decide: {further_words(good, more)}', soft_wrap=True)
+        console.print(f'to decide: {further_words(good, more)}')
     alone = '' if planned.by_sequential is None else (
         f'; judged from its first run by --sequential alone, {planned.by_sequential:,} without a '
         'failure'
@@ -191,7 +189,6 @@ def _print_further(
     console.print(
         'these count on from the runs that you have seen, and you may look again: '
         f'{_gate(claim)}{alone}. The numbers before "so far" are for a new campaign, by itself',
-        soft_wrap=True,
     )
 
 

@@ -6,10 +6,10 @@ import json
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.completion import complete_gain, complete_spec
 from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import UsageError
 
 
@@ -58,4 +58,4 @@ def spec(
         }, indent=2))
         return
     for line in requirement_lines(found):
-        Console(highlight=False).print(line, soft_wrap=True)
+        line_console().print(line)

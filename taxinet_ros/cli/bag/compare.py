@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from taxinet_ros.cli.options import BagArgument, RunOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def compare(
 
     if not 0 <= tolerance < float('inf'):
         raise UsageError(f'--tolerance {tolerance:g}: needs to be 0 or more')
-    console = Console(highlight=False)
+    console = line_console()
     with readable_bags():
         one, two = one_run(bag, run_id), one_run(other, other_run)
         topics = compare_bags(one, two, tolerance=tolerance, skip=_topics(skip or (), one, two))
@@ -72,14 +73,14 @@ def print_comparison(
         return
     width = max(len(topic.topic) for topic in differing)
     for topic in differing:
-        console.print(f'{topic.topic:<{width}}  {_words(topic)}', soft_wrap=True, markup=False)
+        console.print(f'{topic.topic:<{width}}  {_words(topic)}')
     step = first_step(differing)
     when = '' if step is None else (
         f'; first at step {step} ({step * CONTROL_PERIOD_NS / 1e9:.1f} s)'
     )
     console.print(
         f'different{within and f" beyond {tolerance:g}"} on {len(differing)} of {len(topics)} '
-        f'topics{when}', soft_wrap=True,
+        f'topics{when}',
     )
 
 

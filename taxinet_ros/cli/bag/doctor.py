@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.text import Text
 
 from taxinet_ros.cli.options import BagArgument, JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -52,15 +52,13 @@ def _print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> Non
             ],
         }, indent=2))
         return
-    console = Console(highlight=False)
+    console = line_console()
     for check in checks:
-        console.print(_check_line(check), soft_wrap=True)
+        console.print(_check_line(check))
         for finding in check.findings:
-            console.print(
-                f'        {finding.where}: {finding.what}', soft_wrap=True, markup=False
-            )
+            console.print(f'        {finding.where}: {finding.what}')
     mends = [_mend(finding, bag) for finding in findings]
-    console.print(_conclusion(mends) or 'nothing is wrong', soft_wrap=True, markup=False)
+    console.print(_conclusion(mends) or 'nothing is wrong')
 
 
 def _conclusion(mends: Sequence[str]) -> str:

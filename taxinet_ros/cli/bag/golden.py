@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import InfraError, UsageError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def golden(
     )
     from taxinet_ros.nodes.graph.replay import rerun
 
-    console = Console(highlight=False)
+    console = line_console()
     bags = golden_bags(folder)
     with readable_bags():
         runs = {bag: open_recording(bag).run for bag in bags}
@@ -57,9 +57,7 @@ def golden(
         if run.request.run_id != bag.name:
             raise UsageError(f'{bag}: holds run {run.request.run_id}; rename the folder to match')
     if other := stack_differences(folder):
-        console.print(
-            f'other software stack than the golden bags: {other}', soft_wrap=True, markup=False
-        )
+        console.print(f'other software stack than the golden bags: {other}')
     with tempfile.TemporaryDirectory(prefix='taxinet-golden-') as scratch:
         words = [
             (run, perception_of(run, None)[0], controller_of(run, None)) for run in runs.values()
@@ -75,7 +73,7 @@ def golden(
         for result in results:
             run = runs[result.bag]
             words_ = perception_words(run.perception, run.fingerprint)
-            console.print(f'{result.bag.name}, perception {words_}:', soft_wrap=True)
+            console.print(f'{result.bag.name}, perception {words_}:')
             print_comparison(console, result.topics, result.tolerance)
         changed = [result for result in results if not result.equal]
         if update:

@@ -9,9 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
 from taxinet_ros.cli.options import BagArgument, JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -44,9 +43,9 @@ def _show(bag: Path, as_json: bool) -> int:
         print(json.dumps(_plain(info, recording, list(runs.values())), indent=2))
     else:
         lines = [line for words, facts in runs.items() for line in _run_lines(info, words, facts)]
-        console = Console(highlight=False)
+        console = line_console()
         for label, text in [*lines, *_bag_lines(info, recording)]:
-            console.print(f'{label:<{_LABEL_WIDTH}}{text}', soft_wrap=True, markup=False)
+            console.print(f'{label:<{_LABEL_WIDTH}}{text}')
     return ExitCode.OK if info.complete else ExitCode.INCOMPLETE
 
 

@@ -114,7 +114,7 @@ def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
         line = f'made on different machines or versions: {found}'
     else:
         return
-    console.print(f'warning: {line}', soft_wrap=True, markup=False)
+    console.print(f'warning: {line}')
 
 
 def perception_of(

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import BagArgument, RunOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.version import __version__
 
@@ -179,7 +179,7 @@ def _render(recording: Recording, out: Path | None) -> int:
     )
     from taxinet_ros.bag.writer import RUN_METADATA
 
-    console = Console(highlight=False)
+    console = line_console()
     bag, info = recording.path, recording.info
     missing = missing_frames(info)
     if not missing and not info.trouble:
@@ -188,7 +188,7 @@ def _render(recording: Recording, out: Path | None) -> int:
             raise UsageError(
                 f'--out {out}: nothing to render for it: all {frames} frames are in {bag}'
             )
-        console.print(f'nothing to do: all {frames} frames are in {bag}', soft_wrap=True)
+        console.print(f'nothing to do: all {frames} frames are in {bag}')
         return ExitCode.OK
     steps = (
         restore_in_place(bag, _MIN_FREE_BYTES) if out is None
@@ -203,13 +203,12 @@ def _render(recording: Recording, out: Path | None) -> int:
     done = read_info(out or bag)
     console.print(
         f'{missing - missing_frames(done)} frames rendered into {out or bag}; the re-simulated '
-        'aircraft matches the recorded odometry at every step, bit for bit', soft_wrap=True,
+        'aircraft matches the recorded odometry at every step, bit for bit',
     )
     version = info.metadata.get(RUN_METADATA, {}).get('taxinet_ros_version', 'unknown')
     if version != __version__:
         console.print(
             f'recorded by version {version}, rendered by {__version__}: check for camera changes '
             f'with taxinet bag replay {out or bag} --into perception',
-            soft_wrap=True,
         )
     return ExitCode.OK

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from taxinet_ros.cli.options import BagArgument, OwnControllerOption, RunOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.core.topics import MTL_MONITOR, PERCEPTION, STEERING_CONTROLLER
 from taxinet_ros.errors import UsageError
 
@@ -110,7 +111,7 @@ def run_replay(
     from taxinet_ros.nodes.graph.replay import replay
     from taxinet_ros.trials.options import check_new, new_folder
 
-    console = Console(highlight=False)
+    console = line_console()
     run, trace = recording.run, recording.columns
     if run.timing.free:
         raise UsageError(
@@ -136,7 +137,7 @@ def run_replay(
         difference(quantity, trace, answers)
         for quantity in quantities(trace, _COLUMNS.get(into, ()))
     ]
-    console.print(f'{run.request.run_id} into {into}: {names[0]}, {names[1]}', soft_wrap=True)
+    console.print(f'{run.request.run_id} into {into}: {names[0]}, {names[1]}')
     _print(console, found, allowed)
     out.mkdir(parents=True, exist_ok=True)
     plot_replay(
@@ -145,8 +146,7 @@ def run_replay(
     )
     _write_csv(found, trace, out / 'replay.csv')
     equal = all(_within(one, allowed) for one in found)
-    console.print(f'{_conclusion(found, equal)}; picture: {out / "replay.png"}, replay.csv',
-                  soft_wrap=True)
+    console.print(f'{_conclusion(found, equal)}; picture: {out / "replay.png"}, replay.csv')
     return EQUAL if equal else DIFFERENT
 
 
@@ -186,7 +186,7 @@ def _print(
         line = f'{row[0]:<{widths[0]}}' + ''.join(
             f'  {cell:>{width}}' for cell, width in zip(row[1:], widths[1:], strict=True)
         )
-        console.print(line, style=style, soft_wrap=True, markup=False)
+        console.print(line, style=style)
 
 
 def _cells(one: Difference, allowed: Mapping[str, float]) -> tuple[str, ...]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from rich.console import Console
-
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.rewrite.frames import IMAGE
 from taxinet_ros.bag.run.recording import Recording, open_recording
@@ -19,6 +17,7 @@ from taxinet_ros.cli.bag.input import (
     readable_bags,
     warn_of_stacks,
 )
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
@@ -83,17 +82,16 @@ def run_again(
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
     out = out or new_folder(DEFAULT_ROOT / f'again-{run.request.run_id}')
     check_new(out)
-    console = Console(highlight=False)
+    console = line_console()
     before = perception_words(run.perception, run.fingerprint)
     now = perception_words(word, fingerprint)
     console.print(
         f'rerun of {run.request.run_id}, perception {before}'
         + (f', now {now}' if now != before else '')
-        + (f', {run.timing.words}' if run.timing.words else '') + f' -> {out}', soft_wrap=True,
+        + (f', {run.timing.words}' if run.timing.words else '') + f' -> {out}',
     )
     if run.timing.free:
-        console.print(f'a free run, not reproducible: {NOT_REPRODUCIBLE}',
-                      soft_wrap=True)
+        console.print(f'a free run, not reproducible: {NOT_REPRODUCIBLE}')
     warn_of_stacks(console, recording.made_on, provenance())
     processes = processes or run.timing.free
     results = rerun([(run, word, steers)], out, images=images, processes=processes)
@@ -103,7 +101,7 @@ def run_again(
         run.request, result, perception=word, bag=new.name,
         sim_s=max(result.last_seq, 0) * CONTROL_PERIOD_NS / 1e9,
     )
-    console.print(row_line(row), soft_wrap=True)
+    console.print(row_line(row))
     if result.outcome is Outcome.INTERRUPTED:
         raise ToldInterrupt
     if not result.outcome.judged:

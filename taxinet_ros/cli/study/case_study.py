@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import (
     AuditOption,
@@ -16,6 +15,7 @@ from taxinet_ros.cli.options import (
     given_options,
     refuse_given,
 )
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.record import RECORD_NAME
@@ -125,10 +125,10 @@ def run_case_study(
     wanted = with_engine(stages(study), engine, audit, where)
     if until:
         wanted = stages_until(wanted, until)
-    console = Console(highlight=False)
+    console = line_console()
 
     def show(line: str) -> None:
-        console.print(line, soft_wrap=True, markup=False)
+        console.print(line)
 
     if listed:
         for line in list_lines(wanted, read_stages(out or Path('OUT')), out or Path('OUT')):
@@ -186,5 +186,5 @@ def report_case_study(
     from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
 
     for line in write_study_report(study, out, tables):
-        Console(highlight=False).print(line, soft_wrap=True, markup=False)
+        line_console().print(line)
     return ExitCode.OK

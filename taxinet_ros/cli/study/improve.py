@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.options import (
     AuditOption,
@@ -20,6 +19,7 @@ from taxinet_ros.cli.options import (
     given_options,
     refuse_given,
 )
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -106,7 +106,7 @@ def improve(
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
         margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
-    console = Console(highlight=False)
+    console = line_console()
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
     with_engine((), engine, audit)  # checks them before anything is made
@@ -117,7 +117,7 @@ def improve(
     check_workers(options.workers)
 
     def show(line: str) -> None:
-        console.print(line, soft_wrap=True, markup=False)
+        console.print(line)
 
     made: list[dict[str, Any]] = []
     with open_study(folder, show) as record:

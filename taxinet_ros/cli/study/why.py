@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.analysis.report.parts import Section
 from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -77,7 +77,7 @@ def why(
     to all evidence, and the command that mends it. After an interrupt, the same command continues.
     Exit codes: 0 a verdict, 3 unclear, 130 interrupted.
     """
-    console = Console(highlight=False, stderr=as_json)
+    console = line_console(stderr=as_json)
     with_engine((), engine, audit)  # checks them before anything is made
     where = check_cluster(cluster) if cluster else ''
     limit = Budget(runs=budget)
@@ -89,7 +89,7 @@ def why(
     make_out(out)
 
     def show(line: str) -> None:
-        console.print(line, soft_wrap=True, markup=False)
+        console.print(line)
 
     show(f'why {kind} {subject}: at most about {budget} runs -> {_near(out)}')
     with open_study(out, show) as record:

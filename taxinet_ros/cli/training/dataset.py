@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from taxinet_ros.cli.options import RendererOption, ScenarioArgument, SeedOption, VariedOption
+from taxinet_ros.cli.show import line_console
 
 
 def dataset(
@@ -41,14 +42,9 @@ def dataset(
             rendered = write_dataset(options, show)
     except KeyboardInterrupt:
         if is_begun(out):
-            Console(stderr=True).print(
-                f'interrupted; images in {out} are kept, continue with --resume',
-                soft_wrap=True, highlight=False,
-            )
+            line_console(stderr=True).print(
+                f'interrupted; images in {out} are kept, continue with --resume')
             raise ToldInterrupt from None
         raise
-    Console(highlight=False).print(
-        f'{count} images in {out}, {rendered} of them rendered now; labels: '
-        f'{out / LABELS}',
-        soft_wrap=True,
-    )
+    line_console().print(
+        f'{count} images in {out}, {rendered} of them rendered now; labels: {out / LABELS}')

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from taxinet_ros.cli.options import (
@@ -20,6 +19,7 @@ from taxinet_ros.cli.options import (
     RendererOption,
     refuse_given,
 )
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -82,27 +82,26 @@ def evaluate(
 
 
 def _print_errors(rows: Sequence[SliceErrors], title: str) -> None:
-    console = Console(highlight=False)
-    console.print(title, soft_wrap=True, markup=False)
+    console = line_console()
+    console.print(title)
     table = Table(box=None, pad_edge=False)
     table.add_column('\nimages', no_wrap=True)
     for heading in ('\nn', 'no\nestimate'):
         table.add_column(heading, justify='right')
     for name, unit in _QUANTITIES.values():
-        table.add_column(escape(f'{name}\nMAE [{unit}]'), justify='right', no_wrap=True)
+        table.add_column(f'{name}\nMAE [{unit}]', justify='right', no_wrap=True)
         table.add_column('\np99', justify='right')
     for row in (row for row in rows if row.images):
         cells = [cell for quantity in _QUANTITIES for cell in _error_cells(row, quantity)]
         table.add_row(row.name, str(row.images), str(row.without_estimate), *cells)
-    console.print(table)
+    console.print(table, soft_wrap=False)
     console.print('MAE: mean absolute error, with its 95 % confidence interval', style='dim')
     for quantity, turned in rows[0].mirrored.items():
         (name, unit), error = _QUANTITIES[quantity], rows[0].errors[quantity]['mae']
         console.print(
             f'{name}: the estimates fall where the truth rises. With the other sign, the MAE would '
             f'be {turned:.3g} {unit} instead of {error:.3g}: left is positive; see "positive" in '
-            'the description of a network in ONNX, or the signs of its labels.',
-            soft_wrap=True, style='bold',
+            'the description of a network in ONNX, or the signs of its labels.', style='bold',
         )
 
 

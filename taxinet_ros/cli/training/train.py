@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.options import PicturesArgument, VariedOption, refuse_given
+from taxinet_ros.cli.show import line_console
 
 if TYPE_CHECKING:
     from taxinet_ros.training.options import TrainOptions
@@ -126,7 +126,7 @@ def run_train(options: TrainOptions) -> None:
     beside = card_path(options.out), options.curves_path, options.history_path
     for path in beside if options.out.suffix else ():
         check_output(f'train: --out {options.out}: {path}', path, own=[path.suffix])
-    console = Console(highlight=False)
+    console = line_console()
     try:
         with stage_bars(console) as show:
             card = train(options, show)
@@ -134,18 +134,16 @@ def run_train(options: TrainOptions) -> None:
         if not options.unfinished.exists():
             raise
         words = [word for word in sys.argv[1:] if word != '--resume']
-        Console(stderr=True).print(
+        line_console(stderr=True).print(
             f'interrupted; {options.unfinished} keeps pictures and epochs, continue with '
             f'{shlex.join(["taxinet", *words, "--resume"])}',
-            soft_wrap=True, highlight=False, markup=False,
         )
         raise ToldInterrupt from None
     for quantity, errors in card.errors.items():
         figures = ', '.join(f'{name} {value:.3g}' for name, value in errors.items())
-        console.print(f'{quantity}: {figures}', soft_wrap=True)
-    console.print(f'domain: {domain_words(card.domain)}', soft_wrap=True)
+        console.print(f'{quantity}: {figures}')
+    console.print(f'domain: {domain_words(card.domain)}')
     console.print(
         f'weights: {options.out} (epoch {card.best_epoch}), model card: {card_path(options.out)}, '
         f'learning curves: {options.curves_path}, {options.history_path.name}',
-        soft_wrap=True,
     )
