@@ -38,13 +38,14 @@ from taxinet_ros.samplers.splitting import RareEstimate
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.connection import Cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
+from taxinet_ros.trials.engine import run_search
 from taxinet_ros.trials.loop_run import campaign_loop
 from taxinet_ros.trials.loop_worker import loop_worker_command
 from taxinet_ros.trials.options import DEFAULT_SPECS, LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
 from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_options import make_estimate_options, make_search_options
-from taxinet_ros.trials.worker_pool import WorkerPool, run_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 
 @takes(

@@ -31,6 +31,7 @@ from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 from taxinet_ros.samplers.sampler import MOST_LAG
 from taxinet_ros.trials.audit import Auditor
 from taxinet_ros.trials.campaign import Campaign, exit_code
+from taxinet_ros.trials.engine import run_search
 from taxinet_ros.trials.loop_run import Loop, campaign_loop
 from taxinet_ros.trials.options import GRAPH, LOOP, CampaignOptions
 from taxinet_ros.trials.record.facts import recorded_system
@@ -42,7 +43,7 @@ from taxinet_ros.trials.summary import (
     row_line,
     summary_json,
 )
-from taxinet_ros.trials.worker_pool import WorkerPool, run_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph

@@ -40,6 +40,7 @@ from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.connection import Cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.cluster.task import OUT
+from taxinet_ros.trials.engine import run_search
 from taxinet_ros.trials.experiment import (
     JSON_NAME,
     PAGE_NAME,
@@ -72,7 +73,7 @@ from taxinet_ros.trials.summary import (
     scene_words,
     summary_json,
 )
-from taxinet_ros.trials.worker_pool import WorkerPool, run_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 _REFRESH_PER_S = 2.0
 

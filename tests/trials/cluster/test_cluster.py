@@ -26,11 +26,12 @@ from taxinet_ros.trials.cluster import connection
 from taxinet_ros.trials.cluster.connection import check_cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.cluster.task import OUT
+from taxinet_ros.trials.engine import RunSource, run_search
 from taxinet_ros.trials.record.facts import STACKS, read_facts
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_options import SearchOptions
-from taxinet_ros.trials.worker_pool import RunSource, WorkerPool, run_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 pytestmark = [
     pytest.mark.nightly,
