@@ -19,6 +19,7 @@ from taxinet_ros.samplers.space import Dimension, Point, Space
 from taxinet_ros.scenes.programs import find_program
 from taxinet_ros.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.scenes.source import Refused, Rejected, program_text
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.trials.search import Search
@@ -71,11 +72,14 @@ class ToySource:
         return Scenario(cross_track_m=10 * x - 5, distance_m=2000 * y, duration_s=1.0)
 
 
+_OF_CAMPAIGN = ('seed', 'perception', 'overrides', 'workers', 'resume', 'cluster')
+
+
 def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -> SearchOptions:
     """A search of the toy program; ``ce`` learns early, so a wrong order of results shows."""
     campaign = {
         'program': 'nominal', 'runs': runs, 'seed': 3, 'perception': 'truth', 'out': out,
-        **{key: changes.pop(key) for key in ('seed', 'perception', 'overrides') if key in changes},
+        **{key: changes.pop(key) for key in _OF_CAMPAIGN if key in changes},
         **({'judging': Judging(specs=changes.pop('specs'))} if 'specs' in changes else {}),
     }
     own = {'every': '1'} if sampler == 'ce' else {}
@@ -111,14 +115,14 @@ def last(under_way: list[RunRequest]) -> RunRequest:
 
 
 def answers(
-    search: Search, workers: int, pick: Pick = first,
+    search: Engine[Search], workers: int, pick: Pick = first,
     judge: Callable[[RunRequest], RunResult] = result,
 ) -> Iterator[RunRequest]:
     """Drive a search as so many workers would, one answer at a time."""
     under_way: list[RunRequest] = []
     while True:
         while len(under_way) < workers and (request := search.next()) is not None:
-            (search.options.campaign.out / request.run_id).mkdir()
+            (search.options.out / request.run_id).mkdir()
             under_way.append(request)
         if not under_way:
             return
@@ -129,16 +133,16 @@ def answers(
 
 
 @contextlib.contextmanager
-def searching(chosen: SearchOptions) -> Iterator[Search]:
+def searching(chosen: SearchOptions) -> Iterator[Engine[Search]]:
     """A search on the toy program; ``Search`` has been given :class:`ToySource` already."""
-    with Search(chosen, ('perception',)) as search:
+    with Engine(Search(chosen), ('perception',)) as search:
         yield search
 
 
 def finish(
     chosen: SearchOptions, workers: int = 1, pick: Pick = first,
     judge: Callable[[RunRequest], RunResult] = result,
-) -> Search:
+) -> Engine[Search]:
     """Run a search to its end."""
     with searching(chosen) as search:
         for _ in answers(search, workers, pick, judge):

@@ -39,7 +39,6 @@ from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 from taxinet_ros.samplers.registry import check_sampler
-from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.scenes.overrides import check_overrides
 from taxinet_ros.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.scenes.programs import find_program, shipped_folder
@@ -55,7 +54,7 @@ from taxinet_ros.trials.options import (
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search_options import SearchOptions, check_workers_or_cluster
+from taxinet_ros.trials.search_options import SearchOptions, with_workers
 
 SUFFIX = '.yaml'
 FOLDER = 'experiments'
@@ -333,20 +332,19 @@ def arm_searches(
         UsageError: the folder, the number of workers, the cluster or the engine cannot be used.
     """
     campaigns = {
-        arm.name: _campaign(experiment, arm, out, engine, audit) for arm in experiment.arms
+        arm.name: with_workers(_campaign(experiment, arm, out, engine, audit), workers, cluster)
+        for arm in experiment.arms
     }
-    where = ''
-    for campaign in campaigns.values():
-        where = check_workers_or_cluster(workers, LAG, cluster, campaign)
     if not resume:
         check_new(out)
     elif not _may_be_begun(experiment, out):
         raise UsageError(f'--resume: {out}: holds no arm of {experiment.name}; leave --resume out')
     return {
         arm.name: SearchOptions(
-            campaign=campaigns[arm.name], sampler=experiment.sampler, cluster=where,
-            sampler_options=experiment.sampler_options, workers=workers,
-            resume=resume and is_campaign(out / arm.name),
+            campaign=dataclasses.replace(
+                campaigns[arm.name], resume=resume and is_campaign(out / arm.name)
+            ),
+            sampler=experiment.sampler, sampler_options=experiment.sampler_options,
         )
         for arm in experiment.arms
     }

@@ -39,7 +39,7 @@ from taxinet_ros.core.mtl import (
     parse_spec,
 )
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
+from taxinet_ros.core.pacing.timing import Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception, network_doubts
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.core.scenario import Scenario
@@ -162,52 +162,48 @@ _GAIN_PREFIX = 'steering.'
 
 
 @dataclass(frozen=True, kw_only=True)
-class CampaignOptions:
-    """Options of a campaign: scenes of one program, evaluated with one perception.
+class CampaignOptions(System):
+    """Options of a campaign: a system, the scenes of one program, and what makes the runs.
+
+    Perception is '' if a standing graph determines it.
 
     Attributes:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
         seed: seed of the scenes.
-        perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.user_code`; '' if a standing graph determines it.
+        out: folder of the campaign, which must be new or empty unless it is resumed.
         overrides: scenario values that replace drawn ones, in human keys and units.
-        gains: steering gains that differ from the defaults.
         judging: judging options of the verdicts.
-        out: folder of the campaign, which must be new or empty.
         processes: whether every node runs in its own process.
         images: runs whose camera frames are recorded, one of :data:`IMAGES`.
-        controller: ``steering``, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.user_code`.
         laid_over: scenario values that override each scene after it was chosen. Unlike
             ``overrides``, they do not remove dimensions from the search; so campaigns that differ
             only in them have otherwise equal scenes.
-        timing: when answers take effect.
         arms: if it is an arm, folders of all arms of the experiment in order.
         bags: whether its runs leave bags; those of closed loops without a graph do not.
-        world: name of the world of the runs, see :mod:`taxinet_ros.core.world`.
         engine: what makes the runs, one of :data:`ENGINES`.
         audit_percent: share of the runs to repeat on the graph and compare [%]; 0 with the graph.
+        workers: number of runs at a time.
+        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
+        resume: continue the campaign in ``out``.
     """
 
     program: str
     runs: int
     seed: int
-    perception: str
     out: Path
     overrides: Mapping[str, str] = field(default_factory=dict)
-    gains: Mapping[str, float] = field(default_factory=dict)
     judging: Judging = DEFAULT_JUDGING
     processes: bool = False
     images: str = 'all'
     laid_over: Mapping[str, str] = field(default_factory=dict)
-    controller: str = STEERING
-    timing: Timing = AT_ONCE
     arms: tuple[str, ...] = ()
     bags: bool = True
-    world: str = KMWH
     engine: str = GRAPH
     audit_percent: float = 0.0
+    workers: int = 1
+    cluster: str = ''
+    resume: bool = False
 
     def check(
         self, first: Scenario, drawn: Callable[[], Collection[str]],
@@ -259,11 +255,10 @@ class CampaignOptions:
             controller_sha256: recorded hash of its controller.
             world_sha256: recorded hash of the package that provides its world, or ''.
         """
-        return System(
-            perception=self.perception, controller=self.controller, gains=self.gains,
-            controller_sha256=controller_sha256, timing=self.timing, world=self.world,
-            world_sha256=world_sha256,
-        )
+        own = {each.name: getattr(self, each.name) for each in dataclasses.fields(System)}
+        return System(**{
+            **own, 'controller_sha256': controller_sha256, 'world_sha256': world_sha256,
+        })
 
     @property
     def standing_graph(self) -> bool:
@@ -341,8 +336,7 @@ def make_options(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
         images=recorded_images(chosen, images), controller=controller, timing=timing,
-        world=chosen.name,
-        engine=engine, audit_percent=audit_percent,
+        world=chosen.name, engine=engine, audit_percent=audit_percent, resume=bool(resume),
     )
 
 

@@ -15,7 +15,7 @@ from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.samplers.registry import SAMPLERS, check_sampler
+from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.samplers.sampler import LAG, MOST_LAG, split_options
 from taxinet_ros.samplers.splitting import NAME, particles_for
 from taxinet_ros.scenes.program_sampler import ProgramSampler
@@ -115,55 +115,34 @@ class SearchOptions:
         sampler: word of the sampler that chooses the scenes; '' for the program's own, if it names
             one, else :data:`DEFAULT_SAMPLER`.
         sampler_options: its options as text, by name.
-        workers: number of concurrent graphs.
-        resume: continue an interrupted search.
         stop: stop before all runs are done, or None.
         budget_s: wall-clock time after which no run is started [s], or None.
         lag: number of runs that may be in flight where scenes depend on results: each is chosen by
             the results of all but the last ``lag - 1``.
-        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
         odd: the operational design domain that the sampler ``coverage`` covers, or None.
     """
 
     campaign: CampaignOptions
     sampler: str
     sampler_options: Mapping[str, str] = field(default_factory=dict)
-    workers: int = 1
-    resume: bool = False
     stop: StopRule | None = None
     budget_s: float | None = None
     lag: int = LAG
-    cluster: str = ''
     odd: Odd | None = None
-
-    @property
-    def in_flight(self) -> int | None:
-        """Number of runs that may be in flight; None if nothing depends on results.
-
-        Workers here are no more than the lag in any case.
-        """
-        learns = SAMPLERS[self.sampler].learns
-        return self.lag if learns or self.stop is not None or not self.cluster else None
-
-    @property
-    def runs(self) -> int:
-        """Maximum number of its runs."""
-        return self.campaign.runs
 
 
 def make_search_options(
-    campaign: CampaignOptions, *, sampler: str | None, sampler_options: Iterable[str], workers: int,
-    resume: bool, until: str | None, budget_min: float | None,
-    lag: int = LAG, cluster: str | None = None, odd: str | None = None,
+    campaign: CampaignOptions, *, sampler: str | None = None, sampler_options: Iterable[str] = (),
+    workers: int = 1, until: str | None = None, budget_min: float | None = None, lag: int = LAG,
+    cluster: str | None = None, odd: str | None = None,
 ) -> SearchOptions:
     """Check the command-line arguments.
 
     Args:
-        campaign: validated campaign options.
+        campaign: validated campaign options, but for what makes the runs.
         sampler: word of the sampler; None for the program's own or the default.
         sampler_options: ``key=value`` texts.
-        workers: number of concurrent graphs.
-        resume: continue an interrupted search.
+        workers: number of runs at a time.
         until: a stop rule as text, or None.
         budget_min: wall-clock time [min], or None.
         lag: see :class:`SearchOptions`.
@@ -175,7 +154,7 @@ def make_search_options(
     """
     if not 1 <= lag <= MOST_LAG:
         raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
-    where = check_workers_or_cluster(workers, lag, cluster, campaign)
+    campaign = with_workers(campaign, workers, cluster, lag)
     if budget_min is not None and not budget_min > 0:
         raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
     stop = parse_stop_rule(until) if until else None
@@ -199,25 +178,21 @@ def make_search_options(
         raise UsageError('--sampler-option cells: the cells are those of the ODD; leave it out')
     return SearchOptions(
         campaign=campaign, sampler=sampler or '', sampler_options=options,
-        workers=workers, resume=resume, stop=stop,
-        budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
-        cluster=where, odd=None if odd is None else read_odd(find_odd(odd)),
+        stop=stop, budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
+        odd=None if odd is None else read_odd(find_odd(odd)),
     )
 
 
-def check_workers_or_cluster(
-    workers: int, lag: int, cluster: str | None, campaign: CampaignOptions
-) -> str:
-    """Check what makes the runs: worker processes here, or a cluster.
+def with_workers(
+    campaign: CampaignOptions, workers: int, cluster: str | None, lag: int = LAG
+) -> CampaignOptions:
+    """The campaign with what makes its runs: worker processes here, or a cluster.
 
     Args:
-        workers: number of worker processes.
-        lag: number of runs that may be in flight.
-        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
         campaign: the campaign.
-
-    Returns:
-        The checked cluster, or ''.
+        workers: number of worker processes.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        lag: number of runs that may be in flight.
 
     Raises:
         UsageError: too many workers, no cluster, or runs that a cluster cannot make.
@@ -225,7 +200,7 @@ def check_workers_or_cluster(
     if cluster is None:
         if not 1 <= workers <= lag:
             raise UsageError(f'--workers {workers}: needs to be within 1..{lag}')
-        return ''
+        return replace(campaign, workers=workers)
     if workers != 1:
         raise UsageError(
             f'--workers {workers}: not with --cluster, whose own workers are used; leave it out'
@@ -238,21 +213,19 @@ def check_workers_or_cluster(
             )
     if again := find_world(campaign.world).again_words:
         raise UsageError(f'--cluster: {again}, so workers would not give the same runs')
-    return check_cluster(cluster)
+    return replace(campaign, cluster=check_cluster(cluster))
 
 
 def make_estimate_options(
-    campaign: CampaignOptions, *, floor: float, islands: int, workers: int,
-    resume: bool,
+    campaign: CampaignOptions, *, floor: float, islands: int, workers: int = 1
 ) -> SearchOptions:
     """Options of an estimate of a rare failure's probability.
 
     Args:
         campaign: validated campaign options; its runs are the most to spend.
         floor: least probability that the runs have to suffice for.
-        islands: independent populations at first; with ``resume``, those recorded.
-        workers: number of concurrent runs.
-        resume: continue an interrupted estimate, or one with more runs.
+        islands: independent populations at first; to resume, those recorded.
+        workers: number of runs at a time.
 
     Raises:
         UsageError: one line on the first error.
@@ -262,7 +235,7 @@ def make_estimate_options(
     if not 4 <= islands <= 100:
         raise UsageError(f'--islands {islands}: needs to be within 4..100')
     runs = campaign.runs
-    if resume and (before := read_facts(campaign.out)) is not None:
+    if campaign.resume and (before := read_facts(campaign.out)) is not None:
         first = before.get('first_runs')
         runs = first if isinstance(first, int) else runs
     particles = particles_for(runs, islands, floor)
@@ -275,8 +248,7 @@ def make_estimate_options(
             f'--runs {needed}, or a greater --down-to'
         )
     return make_search_options(
-        campaign, sampler=NAME, workers=workers, resume=resume, until=None, budget_min=None,
-        sampler_options=[
+        campaign, sampler=NAME, workers=workers, sampler_options=[
             f'draws={runs // 2}', f'particles={particles}', f'islands={islands}',
             f'floor={floor!r}',
         ],

@@ -6,7 +6,7 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.trials.campaign import exit_code
-from taxinet_ros.trials.engine import run_search
+from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.facts import recorded_system
 from taxinet_ros.trials.search import Search
@@ -36,11 +36,8 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
         settings=[f'{name}={value}' for name, value in SETTINGS.items()], processes=False,
         images='none',
     )
-    options = make_search_options(
-        campaign, sampler='random', sampler_options=(), workers=1, resume=False, until=None,
-        budget_min=None,
-    )
-    with Search(options, PARTICIPANTS) as graphs:
+    options = make_search_options(campaign, sampler='random')
+    with Engine(Search(options), PARTICIPANTS) as graphs:
         command = worker_command(campaign_graph(
             campaign, recorded_system(campaign, graphs.book.facts)
         ))

@@ -85,10 +85,7 @@ def composed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         program='nominal', runs=RUNS, seed=4, perception='truth', settings=['duration=1'],
         specs=[SPEC], out=out, processes=False, images='none',
     )
-    options = make_search_options(
-        campaign, sampler='ce', sampler_options=['every=1'], workers=1, resume=False, until=None,
-        budget_min=None,
-    )
+    options = make_search_options(campaign, sampler='ce', sampler_options=['every=1'])
     assert run_falsify(options, quiet=True) == 1
     return out
 

@@ -185,8 +185,10 @@ def test_given_an_ended_estimate_when_resumed_with_more_runs_then_more_islands_f
     assert read_table(out)['rho'][:len(before)].equals(before)
     assert len(read_table(out)) > len(before)
     more = make_estimate_options(
-        CampaignOptions(program='s_falsif', runs=900, seed=0, perception='truth', out=out),
-        floor=0.01, islands=4, workers=1, resume=True,
+        CampaignOptions(
+            program='s_falsif', runs=900, seed=0, perception='truth', out=out, resume=True
+        ),
+        floor=0.01, islands=4,
     )
     assert more.sampler_options['draws'] == str(RUNS // 2)
 
@@ -198,7 +200,7 @@ def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rest
     )
     judging = SimpleNamespace(headline='near')
     search = SimpleNamespace(
-        rows=[], options=SimpleNamespace(campaign=SimpleNamespace(judging=judging))
+        rows=[], options=SimpleNamespace(judging=judging)
     )
     assert estimate_lines(found, search) == [
         'P(near violated) within [2.5e-05, 0.22 %] (95 %); UNCLEAR: more than 10 times as high as '
@@ -229,7 +231,7 @@ def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
     )
     with pytest.raises(UsageError, match=words):
         make_estimate_options(campaign, **{
-            'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
+            'floor': 1e-6, 'islands': 8, **asked,
         })
 
 

@@ -21,6 +21,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import find_program
 from taxinet_ros.scenes.source import SceneSource, program_text
 from taxinet_ros.trials import search as search_module
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.experiment import (
     Arm,
     Experiment,
@@ -218,8 +219,8 @@ class Bench:
         self.done: list[tuple[str, int]] = []
         self.reports = 0
 
-    def run_search(self, search: search_module.Search, crew: object) -> None:
-        arm = search.options.campaign.out.name
+    def run_search(self, search: Engine[search_module.Search], crew: object) -> None:
+        arm = search.options.out.name
 
         def judge(request: RunRequest) -> RunResult:
             self.done.append((arm, request.index))

@@ -25,7 +25,7 @@ from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.shrink.options import ShrinkOptions
-from taxinet_ros.trials.shrink.shrinking import (
+from taxinet_ros.trials.shrink.report import (
     Report,
     edge_words,
     finding_lines,

@@ -122,7 +122,7 @@ def run(
     """
     if bag is None:
         _start_scenic()
-    from taxinet_ros.cli.run.campaign import check_run_workers, run_campaign
+    from taxinet_ros.cli.run.campaign import run_campaign, with_run_workers
     from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import LOOP, make_options
@@ -151,8 +151,7 @@ def run(
     )
     raise ended(
         run_campaign(
-            options, foxglove, workers=check_run_workers(workers, options, foxglove),
-            quiet=quiet, as_json=as_json,
+            with_run_workers(options, workers, foxglove), foxglove, quiet=quiet, as_json=as_json,
         ), exit_zero,
     )
 
@@ -255,8 +254,7 @@ def falsify(
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget, lag=lag, cluster=cluster,
-            odd=odd,
+            until=until, budget_min=budget, lag=lag, cluster=cluster, odd=odd,
         )
     raise ended(run_falsify(options, quiet=quiet, as_json=as_json), exit_zero)
 
@@ -329,8 +327,7 @@ def estimate(
             audit=audit,
         )
         options = make_estimate_options(
-            campaign, floor=down_to, islands=islands, workers=workers,
-            resume=resume,
+            campaign, floor=down_to, islands=islands, workers=workers
         )
     raise typer.Exit(run_estimate(options, quiet=quiet, as_json=as_json))
 

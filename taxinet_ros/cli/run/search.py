@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -40,7 +41,7 @@ from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.connection import Cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.cluster.task import OUT
-from taxinet_ros.trials.engine import run_search
+from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.experiment import (
     JSON_NAME,
     PAGE_NAME,
@@ -50,16 +51,16 @@ from taxinet_ros.trials.experiment import (
     arm_searches,
     check_paired,
 )
-from taxinet_ros.trials.options import AUDIT, GRAPH
+from taxinet_ros.trials.options import AUDIT, GRAPH, CampaignOptions
 from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import Search, search_heading, search_summary, space_lines
+from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.shrink.algorithm import End
 from taxinet_ros.trials.shrink.options import ShrinkOptions
-from taxinet_ros.trials.shrink.shrinking import (
+from taxinet_ros.trials.shrink.report import (
     Report,
-    Shrinking,
     finding_lines,
     make_report,
     parameter_table,
@@ -67,6 +68,7 @@ from taxinet_ros.trials.shrink.shrinking import (
     run_command,
     shrink_heading,
 )
+from taxinet_ros.trials.shrink.shrinking import Shrinking
 from taxinet_ros.trials.summary import (
     requirement_lines,
     row_line,
@@ -79,7 +81,7 @@ _REFRESH_PER_S = 2.0
 
 
 @contextlib.contextmanager
-def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[None]:
+def search_view(console: Console, search: Engine[Any], *, shown: bool) -> Iterator[None]:
     """Context that shows the search live; with ``shown`` False, nothing."""
     columns = (
         BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(), _Figures(search),
@@ -95,7 +97,7 @@ def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[No
 class _Figures(ProgressColumn):
     """Figures beside the bar: failures, pace, time left, lowest robustness, failure rate."""
 
-    def __init__(self, search: Search) -> None:
+    def __init__(self, search: Engine[Any]) -> None:
         super().__init__()
         self._search = search
         self._began = time.monotonic()
@@ -141,18 +143,18 @@ def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -
     Raises:
         UsageError: bad input, or every scene was rejected.
     """
-    check_workers(options.workers)
+    check_workers(options.campaign.workers)
     console = Console(highlight=False, stderr=as_json)
     with (
-        _open_cluster(options, console) as cluster,
+        _open_cluster(options.campaign, console) as cluster,
         open_search(options, console, quiet=quiet) as search,
     ):
         if search.book.warning:
             console.print(search.book.warning, soft_wrap=True, markup=False)
         if not quiet:
-            lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
+            lines = heading_lines(search.proposer)
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
-        for line in requirement_lines(search.check, quiet=quiet):
+        for line in requirement_lines(search.proposer.check, quiet=quiet):
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search, cluster)
@@ -161,17 +163,20 @@ def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -
     console.print('\n'.join(lines), soft_wrap=True)
     if as_json:
         values = summary_json(search.rows, options.campaign, planned)
-        print(json.dumps({**values, 'sampler': search.options.sampler}, allow_nan=False))
-    if search.interrupted and len(search.rows) < options.runs:
+        print(json.dumps({**values, 'sampler': search.proposer.options.sampler}, allow_nan=False))
+    if search.interrupted and len(search.rows) < search.options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
 
 @contextlib.contextmanager
-def open_search(options: SearchOptions, console: Console, *, quiet: bool) -> Iterator[Search]:
+def open_search(
+    options: SearchOptions, console: Console, *, quiet: bool
+) -> Iterator[Engine[Search]]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
     shown = not (quiet or console.is_terminal)
-    search = Search(options, PARTICIPANTS, partial(_print_row, console=console, quiet=quiet))
+    show = partial(_print_row, console=console, quiet=quiet)
+    search = Engine(Search(options), PARTICIPANTS, show)
     with print_rows_if_lost(console, search.rows, shown=shown), search:
         yield search
 
@@ -183,33 +188,32 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 
 
 def _open_cluster(
-    options: SearchOptions | ShrinkOptions, console: Console
+    options: CampaignOptions, console: Console
 ) -> contextlib.AbstractContextManager[Cluster | None]:
-    """Context of the connected cluster of a search, or of None."""
+    """Context of the connected cluster of a campaign, or of None."""
     if not options.cluster:
         return contextlib.nullcontext()
 
     def tell(line: str) -> None:
         console.print(plain_line(line), soft_wrap=True, markup=False)
 
-    return campaign_cluster(options.campaign, options.cluster, tell=tell)
+    return campaign_cluster(options, options.cluster, tell=tell)
 
 
-def run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) -> None:
-    """Execute the runs of an open search on its workers; Ctrl-C ends it in order."""
+def run_on_workers(search: Engine[Any], cluster: Cluster | None = None) -> None:
+    """Execute the runs of an open campaign on its workers; Ctrl-C ends it in order."""
     with interrupts(search.interrupt), _pool(search, cluster) as pool:
         run_search(search, pool)
 
 
-def _pool(search: Search | Shrinking, cluster: Cluster | None) -> WorkerPool | ClusterPool:
+def _pool(search: Engine[Any], cluster: Cluster | None) -> WorkerPool | ClusterPool:
     options, facts = search.options, search.book.facts
-    campaign = options.campaign
     if cluster is None:
-        command = campaign_worker_command(campaign, facts)
-        return WorkerPool(command, options.workers, campaign.out / 'logs')
-    elsewhere = dataclasses.replace(campaign, out=Path(OUT))
+        command = campaign_worker_command(options, facts)
+        return WorkerPool(command, options.workers, options.out / 'logs')
+    elsewhere = dataclasses.replace(options, out=Path(OUT))
     return ClusterPool(
-        cluster, campaign_worker_command(elsewhere, facts), campaign.out,
+        cluster, campaign_worker_command(elsewhere, facts), options.out,
         fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
     )
 
@@ -254,18 +258,18 @@ def run_experiment(
     return ExitCode.INFRA if broken else ExitCode.OK
 
 
-def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
+def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Engine[Search]:
     """Run one arm until it is complete, interrupted, or ended by an infrastructure error.
 
     The first arm prints how the requirements are parsed; they are the same in all arms.
     """
     with (
-        _open_cluster(options, console) as cluster,
+        _open_cluster(options.campaign, console) as cluster,
         open_search(options, console, quiet=False) as search,
     ):
-        for line in requirement_lines(search.check, quiet=not first):
+        for line in requirement_lines(search.proposer.check, quiet=not first):
             console.print(line, soft_wrap=True)
-        for note in (*search.notes, *filter(None, [search.book.warning])):
+        for note in (*search.proposer.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
         with search_view(console, search, shown=console.is_terminal):
             run_on_workers(search, cluster)
@@ -318,31 +322,31 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
         InfraError: the test bench failed.
         RecordError: the record cannot be written.
     """
-    check_workers(options.workers)
+    check_workers(options.campaign.workers)
     console = Console(highlight=False)
     begun = time.monotonic()
     with _shrink_view(console, quiet=quiet) as show:
-        shrinking = Shrinking(options, PARTICIPANTS, show)
+        engine = Engine(Shrinking(options), PARTICIPANTS, show)
         shown = not (quiet or console.is_terminal)
         with (
-            _open_cluster(options, console) as cluster,
-            print_rows_if_lost(console, shrinking.rows, shown=shown), shrinking,
+            _open_cluster(options.campaign, console) as cluster,
+            print_rows_if_lost(console, engine.rows, shown=shown), engine,
         ):
-            if shrinking.book.warning:
-                console.print(shrinking.book.warning, soft_wrap=True, markup=False)
+            if engine.book.warning:
+                console.print(engine.book.warning, soft_wrap=True, markup=False)
             if not quiet:
                 console.print(shrink_heading(options), soft_wrap=True)
-            run_on_workers(shrinking, cluster)
-    found = make_report(shrinking)
-    _check_bench(shrinking)
+            run_on_workers(engine, cluster)
+    found = make_report(engine.proposer)
+    _check_bench(engine)
     _check_reproduced(options, found)
-    with print_rows_if_lost(console, shrinking.rows, shown=True):
-        _print_shrunk(console, shrinking, found, time.monotonic() - begun)
+    with print_rows_if_lost(console, engine.rows, shown=True):
+        _print_shrunk(console, engine.proposer, found, time.monotonic() - begun)
     return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 
 def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:
-    options, runs = shrinking.options, len(shrinking.rows)
+    options, runs = shrinking.options, len(shrinking.judged)
     lines = result_lines(found, options, runs, wall_s)
     if found.original is not None:
         from taxinet_ros.analysis.search.shrinking import PROGRAM_NAME, write_shrunk
@@ -356,8 +360,8 @@ def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s:
     console.print('\n'.join(lines), soft_wrap=True)
 
 
-def _check_bench(shrinking: Shrinking) -> None:
-    if (row := shrinking.broken) is not None:
+def _check_bench(engine: Engine[Shrinking]) -> None:
+    if (row := engine.broken) is not None:
         often = '' if row.kind == AUDIT else 'twice '
         detail = (
             f'{row.detail or row.outcome} ({often}in run {row.run_id}; continue with --resume)'

@@ -45,7 +45,7 @@ def _falsify(
         )
         options = make_search_options(
             campaign, sampler=sampler, sampler_options=sampler_option, workers=workers,
-            resume=resume, until=None, budget_min=None, cluster=cluster,
+            cluster=cluster,
         )
     return run_falsify(options, quiet=False)
 

@@ -42,7 +42,7 @@ from taxinet_ros.core.traffic.traffic_file import typed_traffic
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.samplers.sampler import LAG, split_options
+from taxinet_ros.samplers.sampler import split_options
 from taxinet_ros.scenes.overrides import WEATHER
 from taxinet_ros.trials.options import (
     DEFAULT_ROOT,
@@ -52,7 +52,7 @@ from taxinet_ros.trials.options import (
     new_folder,
 )
 from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
-from taxinet_ros.trials.search_options import check_workers_or_cluster
+from taxinet_ros.trials.search_options import with_workers
 from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED, Axis, Point
 
 DISTANCES_M = (1000.0, 1800.0)
@@ -255,25 +255,11 @@ class ShrinkOptions:
         run: the failed run.
         space: the scenarios that may be run.
         campaign: judging, perception and output folder; ``runs`` limits the runs of the search.
-        workers: number of concurrent graphs.
-        resume: continue an interrupted shrinking.
-        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
     """
 
     run: JudgedRun
     space: ShrinkSpace
     campaign: CampaignOptions
-    workers: int = 1
-    resume: bool = False
-    cluster: str = ''
-
-    in_flight = LAG
-    """Number of runs that may be in flight."""
-
-    @property
-    def runs(self) -> int:
-        """Maximum number of its runs."""
-        return self.campaign.runs
 
     @property
     def headline(self) -> str:
@@ -329,12 +315,8 @@ def make_shrink_options(
         engine=engine, audit=audit,
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
-    return ShrinkOptions(
-        run=run, space=space,
-        campaign=dataclasses.replace(campaign, gains=gains, timing=run.timing),
-        workers=workers, resume=resume,
-        cluster=check_workers_or_cluster(workers, LAG, cluster, campaign),
-    )
+    campaign = dataclasses.replace(campaign, gains=gains, timing=run.timing)
+    return ShrinkOptions(run=run, space=space, campaign=with_workers(campaign, workers, cluster))
 
 
 def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
