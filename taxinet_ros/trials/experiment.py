@@ -393,11 +393,11 @@ def check_paired(
 def _campaign(
     experiment: Experiment, arm: Arm, out: Path, engine: str, audit: str | None
 ) -> CampaignOptions:
-    return CampaignOptions(
+    campaign = CampaignOptions(
         program=experiment.program, runs=experiment.runs, seed=experiment.seed,
         perception=arm.perception, out=out / arm.name, overrides=experiment.overrides,
         controller=arm.controller, laid_over=arm.laid_over, gains=arm.gains,
         judging=Judging(specs=experiment.specs), images='none',
         arms=tuple(one.name for one in experiment.arms), engine=engine,
-        audit_percent=check_engine(engine, audit, arm.perception, arm.controller, arm.gains),
     )
+    return dataclasses.replace(campaign, audit_percent=check_engine(engine, audit, campaign))

@@ -21,6 +21,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from taxinet_ros.core.assurance.monitor import monitor_doubts
 from taxinet_ros.core.assurance.switch import check_controller, parts_of
@@ -59,7 +60,6 @@ from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK, make_folder
 from taxinet_ros.files.plain_values import Section, read_yaml
-from taxinet_ros.registry import KMWH
 from taxinet_ros.scenes.overrides import check_overrides, doubtful_values
 
 SUFFIXES = ('.yaml', '.yml')
@@ -267,92 +267,85 @@ class CampaignOptions(System):
 
 
 def make_options(
-    *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
-    specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
-    resume: bool | None = None, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
-    rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
-    free: bool = False, real_time_factor: str | None = None, world: str = KMWH,
-    engine: str = GRAPH, audit: str | None = None,
+    *, out: Path | None, settings: Iterable[str] = (), specs: Iterable[str] = (),
+    stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (), rates: Iterable[str] = (),
+    latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
+    audit: str | None = None, resume: bool | None = None, **fields: Any,
 ) -> CampaignOptions:
-    """Check the command-line arguments.
+    """Check what a user asks for, most of it as text.
 
     Args:
-        program: word of a shipped Scenic program or path of one.
-        runs: number of scenes.
-        seed: seed of the scenes.
-        perception: see :class:`CampaignOptions`.
+        out: folder; if None, a new one below ``bags/`` with a descriptive name.
         settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
         specs: formulas as text, or files of them; the default if empty.
-        out: folder; if None, a new one below ``bags/`` with a descriptive name.
-        processes: whether every node runs in its own process.
-        images: runs whose camera frames are recorded, one of :data:`IMAGES`.
-        resume: continue the campaign in ``out``; None if the command cannot.
         stop_on: ``never``, ``violated`` or ``decided``.
         bounds: assumed bounds of signals, such as ``cte=-25:25``.
         rates: assumed bounds of their change per second, such as ``cte=3``.
-        controller: see :class:`CampaignOptions`.
         latency: ``NAME=LATENCY`` of perception or controller.
         free: simulated time follows the wall clock.
         real_time_factor: simulated seconds per second then, or ``max``.
-        world: see :class:`CampaignOptions`.
-        engine: see :class:`CampaignOptions`.
         audit: share of the runs to audit as text; None for the default of the engine.
+        resume: continue the campaign in ``out``; None if the command cannot.
+        fields: other fields of :class:`CampaignOptions`.
 
     Raises:
         UsageError: one line on the first error.
     """
     overrides, gains = split_settings(settings)
+    asked = CampaignOptions(
+        **fields, out=out or Path(), overrides=overrides, gains=gains, resume=bool(resume),
+        judging=make_judging(specs, stop_on, bounds, rates),
+        timing=check_timing(latency, free=free, factor=real_time_factor),
+    )
     check_overrides(overrides)
-    check_controller(controller, gains, graph=True)
-    chosen = find_world(world)
-    judging = make_judging(specs, stop_on, bounds, rates)
-    timing = check_timing(latency, free=free, factor=real_time_factor)
-    if timing.free and processes:
-        raise UsageError('--processes: no effect with --free, which always uses processes')
-    check_not_free(timing, controller)
-    if timing.free and judging.stop_on is not StopOn.NEVER:
-        raise UsageError(
-            f'--stop-on {judging.stop_on}: not with --free, which does not wait for the monitor'
-        )
-    if perception:
-        check_perception(perception, graph=True)
-    if images not in IMAGES:
-        raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
-    needs_graph = {'--processes': processes, '--free': timing.free}
-    for option in (name for name, given in needs_graph.items() if given and engine == LOOP):
+    check_controller(asked.controller, gains, graph=True)
+    world = find_world(asked.world)
+    _check_free(asked)
+    if asked.perception:
+        check_perception(asked.perception, graph=True)
+    if asked.images not in IMAGES:
+        raise UsageError(f'--images {asked.images}: unknown; known: {", ".join(IMAGES)}')
+    needs_graph = {'--processes': asked.processes, '--free': free}
+    for option in (name for name, given in needs_graph.items() if given and asked.engine == LOOP):
         raise UsageError(f'{option}: not with --engine {LOOP}, which has no nodes')
-    if engine == LOOP and chosen.again_words:
-        raise UsageError(f'--engine {LOOP}: {chosen.again_words}, so it could not be audited')
-    audit_percent = check_engine(engine, audit, perception, controller, gains)
+    if asked.engine == LOOP and world.again_words:
+        raise UsageError(f'--engine {LOOP}: {world.again_words}, so it could not be audited')
+    audit_percent = check_engine(asked.engine, audit, asked)
     if resume and out is None:
         raise UsageError('--resume: name the campaign to continue with --out')
     if out is None:
-        words = (Path(program).stem, short_word(perception), f'seed{seed}')
-        stem = '-'.join(word for word in words if word)
-        out = new_folder(DEFAULT_ROOT / stem)
+        words = (Path(asked.program).stem, short_word(asked.perception), f'seed{asked.seed}')
+        out = new_folder(DEFAULT_ROOT / '-'.join(word for word in words if word))
     if not resume:
         check_new(out, '' if resume is None else ', or go on with --resume')
-    return CampaignOptions(
-        program=program, runs=runs, seed=seed, perception=perception, out=out,
-        overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
-        images=recorded_images(chosen, images), controller=controller, timing=timing,
-        world=chosen.name, engine=engine, audit_percent=audit_percent, resume=bool(resume),
+    return dataclasses.replace(
+        asked, out=out, processes=asked.processes or free, world=world.name,
+        images=recorded_images(world, asked.images), audit_percent=audit_percent,
     )
 
 
-def check_engine(
-    engine: str, audit: str | None, perception: str, controller: str,
-    gains: Mapping[str, float],
-) -> float:
+def _check_free(asked: CampaignOptions) -> None:
+    """Refuse what a free run cannot have."""
+    if not asked.timing.free:
+        return
+    if asked.processes:
+        raise UsageError('--processes: no effect with --free, which always uses processes')
+    check_not_free(asked.timing, asked.controller)
+    if asked.judging.stop_on is not StopOn.NEVER:
+        raise UsageError(
+            f'--stop-on {asked.judging.stop_on}: not with --free, which does not wait for the '
+            'monitor'
+        )
+
+
+def check_engine(engine: str, audit: str | None, system: System) -> float:
     """Check the arguments on the engine.
 
     Args:
         engine: see :class:`CampaignOptions`.
         audit: share of the runs to audit: a percentage, with or without its sign; None for the
             default of the engine.
-        perception: see :class:`CampaignOptions`.
-        controller: likewise.
-        gains: likewise.
+        system: the system to run.
 
     Returns:
         Share of the runs to audit [%].
@@ -369,13 +362,13 @@ def check_engine(
                 f'--audit {audit}: no effect with --engine {GRAPH}, which needs no audit'
             )
         return 0.0
-    for role, word in (('perception', perception), ('controller', controller)):
-        if is_node_elsewhere(word):
+    for role in ('perception', 'controller'):
+        if is_node_elsewhere(word := getattr(system, role)):
             raise UsageError(
                 f'--engine {LOOP}: {role} {word} is a node; use --engine {GRAPH}'
             )
-    check_perception(perception)
-    check_controller(controller, gains)
+    check_perception(system.perception)
+    check_controller(system.controller, system.gains)
     return AUDITED_PERCENT if audit is None else _audit_percent(audit)
 
 

@@ -354,15 +354,15 @@ def shrink(
     """
     from taxinet_ros.cli.run.search import run_shrink
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.shrink.options import make_shrink_options
+    from taxinet_ros.trials.shrink.shrinking import make_shrinking
 
     with missing_packages_named(run.parent):
-        options = make_shrink_options(
+        shrinking = make_shrinking(
             run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
             workers=workers, out=out, resume=resume, images=images, controller=controller,
             engine=engine, audit=audit, cluster=cluster,
         )
-    raise typer.Exit(run_shrink(options, quiet=quiet))
+    raise typer.Exit(run_shrink(shrinking, quiet=quiet))
 
 
 place_app = command_group('Places where runs take place.')

@@ -58,7 +58,6 @@ from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_options import SearchOptions
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.shrink.algorithm import End
-from taxinet_ros.trials.shrink.options import ShrinkOptions
 from taxinet_ros.trials.shrink.report import (
     Report,
     finding_lines,
@@ -307,11 +306,11 @@ def _report(
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
 
 
-def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
+def run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
     """Shrink the run, write the result and print it.
 
     Args:
-        options: options of the search.
+        shrinking: what to run.
         quiet: print the outcome only.
 
     Returns:
@@ -322,41 +321,40 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
         InfraError: the test bench failed.
         RecordError: the record cannot be written.
     """
-    check_workers(options.campaign.workers)
+    check_workers(shrinking.campaign.workers)
     console = Console(highlight=False)
     begun = time.monotonic()
     with _shrink_view(console, quiet=quiet) as show:
-        engine = Engine(Shrinking(options), PARTICIPANTS, show)
+        engine = Engine(shrinking, PARTICIPANTS, show)
         shown = not (quiet or console.is_terminal)
         with (
-            _open_cluster(options.campaign, console) as cluster,
+            _open_cluster(engine.options, console) as cluster,
             print_rows_if_lost(console, engine.rows, shown=shown), engine,
         ):
             if engine.book.warning:
                 console.print(engine.book.warning, soft_wrap=True, markup=False)
             if not quiet:
-                console.print(shrink_heading(options), soft_wrap=True)
+                console.print(shrink_heading(shrinking), soft_wrap=True)
             run_on_workers(engine, cluster)
-    found = make_report(engine.proposer)
+    found = make_report(shrinking)
     _check_bench(engine)
-    _check_reproduced(options, found)
+    _check_reproduced(shrinking, found)
     with print_rows_if_lost(console, engine.rows, shown=True):
-        _print_shrunk(console, engine.proposer, found, time.monotonic() - begun)
+        _print_shrunk(console, shrinking, found, time.monotonic() - begun)
     return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 
 def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:
-    options, runs = shrinking.options, len(shrinking.judged)
-    lines = result_lines(found, options, runs, wall_s)
+    lines = result_lines(found, shrinking, wall_s)
     if found.original is not None:
         from taxinet_ros.analysis.search.shrinking import PROGRAM_NAME, write_shrunk
 
-        out = options.campaign.out
-        names = write_shrunk(options, found, runs)
+        out = shrinking.campaign.out
+        names = write_shrunk(shrinking, found)
         console.print(parameter_table(found))
         console.print('\n'.join(finding_lines(found)), soft_wrap=True)
         lines.append(f'written: {out / names[0]}, {", ".join(names[1:])}')
-        lines.append(f'run it: {run_command(options, str(out / PROGRAM_NAME))}')
+        lines.append(f'run it: {run_command(shrinking, str(out / PROGRAM_NAME))}')
     console.print('\n'.join(lines), soft_wrap=True)
 
 
@@ -369,15 +367,15 @@ def _check_bench(engine: Engine[Shrinking]) -> None:
         raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
 
 
-def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
+def _check_reproduced(shrinking: Shrinking, found: Report) -> None:
     if found.state.end is not End.NOT_REPRODUCED:
         return
     assert found.original is not None
-    name = options.headline
-    interval = options.run.robustness.get(name)
+    name = shrinking.headline
+    interval = shrinking.run.robustness.get(name)
     before = f', recorded as {interval.bound_words().removeprefix("rho ")}' if interval else ''
     raise UsageError(
-        f'{options.run.run_id}: not reproduced: on rerun, {name} has rho '
+        f'{shrinking.run.run_id}: not reproduced: on rerun, {name} has rho '
         f'{found.original.rho[name]:+.2f}{before}; was it recorded with another version, '
         'perception or gains?'
     )

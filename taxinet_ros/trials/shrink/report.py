@@ -13,8 +13,8 @@ from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.run_command import RunSettings
 from taxinet_ros.trials.shrink.algorithm import End, Point, State
-from taxinet_ros.trials.shrink.options import Parameter, ShrinkOptions
 from taxinet_ros.trials.shrink.shrinking import Shrinking
+from taxinet_ros.trials.shrink.space import Parameter
 from taxinet_ros.trials.summary import participants_words, scene_words, workers_words
 
 
@@ -79,7 +79,7 @@ class Report:
 
 def make_report(shrinking: Shrinking) -> Report:
     """Report of the results so far."""
-    space, search = shrinking.options.space, shrinking.search
+    space, search = shrinking.space, shrinking.search
     state = search.state
     axes = {one.key: number for number, one in enumerate(space.moving)}
     return Report(
@@ -115,14 +115,14 @@ _MATTERS = {
 }
 
 
-def shrink_heading(options: ShrinkOptions) -> str:
+def shrink_heading(shrinking: Shrinking) -> str:
     """Heading that describes the shrinking."""
-    campaign, run = options.campaign, options.run
+    campaign, run = shrinking.campaign, shrinking.run
     verb = 'resuming to shrink' if campaign.resume else 'shrinking'
-    interval = run.robustness.get(options.headline)
+    interval = run.robustness.get(shrinking.headline)
     rho = f', {interval.bound_words()}' if interval else ''
     return (
-        f'{verb} {run.run_id} ({options.headline}{rho}), {participants_words(campaign)}, '
+        f'{verb} {run.run_id} ({shrinking.headline}{rho}), {participants_words(campaign)}, '
         f'{workers_words(campaign)} -> {campaign.out}'
     )
 
@@ -172,24 +172,25 @@ def off_nominal(report: Report) -> str:
     return ', '.join(words) or 'everything nominal'
 
 
-def result_lines(report: Report, options: ShrinkOptions, runs: int, wall_s: float) -> list[str]:
+def result_lines(report: Report, shrinking: Shrinking, wall_s: float) -> list[str]:
     """Lines on how the shrinking ended and its cost."""
     lines = [_ended(report)] if report.state.end is not End.MINIMAL else []
     if report.shrunk is not None:
-        rho = report.shrunk.rho[options.headline]
+        rho = report.shrunk.rho[shrinking.headline]
         lines.append(
             f'shrunk: run {report.shrunk.index}, rho {rho:+.2f}: {scene_words(report.shrunk)}'
         )
+    runs = len(shrinking.judged)
     ahead = runs - report.state.asked
     guesses = f' ({ahead} of them ahead on a guess)' if ahead > 0 else ''
-    took = ' in all' if options.campaign.resume else f' in {wall_s:.0f} s'
+    took = ' in all' if shrinking.campaign.resume else f' in {wall_s:.0f} s'
     lines.append(f'{runs} runs{guesses}{took}')
     return lines
 
 
-def run_command(options: ShrinkOptions, program: str) -> str:
+def run_command(shrinking: Shrinking, program: str) -> str:
     """Shell command to run the shrunk scenario."""
-    return RunSettings.of_options(options.campaign).command(program)
+    return RunSettings.of_options(shrinking.campaign).command(program)
 
 
 def _rho(value: float | None) -> str:

@@ -21,8 +21,7 @@ from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.resumption import check_same_campaign
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.shrink.options import make_shrink_options
-from taxinet_ros.trials.shrink.shrinking import Shrinking
+from taxinet_ros.trials.shrink.shrinking import make_shrinking
 
 pytestmark = pytest.mark.ros
 
@@ -96,13 +95,12 @@ def test_r5_given_failures_with_latency_when_localized_then_the_control_fails_as
 
 
 def test_r5_given_a_failed_run_when_shrunk_then_every_run_has_its_draws(folder):
-    options = make_shrink_options(
-        folder / 's' / 'nominal-s0-00001', perception=None, specs=(), nominal=(), runs=100,
-        workers=1, out=folder / 'small', resume=False, images='none',
+    shrinking = make_shrinking(
+        folder / 's' / 'nominal-s0-00001', runs=100, out=folder / 'small'
     )
-    assert options.campaign.timing.words == f'{WORDS} draws=0.1'
-    system = options.campaign.system('', '')
-    assert campaign_graph(options.campaign, system).timing == options.campaign.timing
-    with Engine(Shrinking(options), PARTICIPANTS) as shrinking:
-        assert shrinking.next() is not None
+    campaign = shrinking.campaign
+    assert campaign.timing.words == f'{WORDS} draws=0.1'
+    assert campaign_graph(campaign, campaign.system('', '')).timing == campaign.timing
+    with Engine(shrinking, PARTICIPANTS) as engine:
+        assert engine.next() is not None
     assert read_facts(folder / 'small')['timing'] == f'{WORDS} draws=0.1'

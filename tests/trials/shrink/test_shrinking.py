@@ -30,11 +30,6 @@ from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.trials.shrink.algorithm import End
-from taxinet_ros.trials.shrink.options import (
-    ShrinkOptions,
-    make_shrink_options,
-    make_shrink_space,
-)
 from taxinet_ros.trials.shrink.report import (
     Report,
     _finding,
@@ -44,7 +39,8 @@ from taxinet_ros.trials.shrink.report import (
     result_lines,
     run_command,
 )
-from taxinet_ros.trials.shrink.shrinking import Shrinking
+from taxinet_ros.trials.shrink.shrinking import Shrinking, make_shrinking
+from taxinet_ros.trials.shrink.space import make_shrink_space
 
 NAME = 'phi_eventually'
 WET = Scenario(
@@ -81,16 +77,13 @@ def campaign(folder: Path, scenario: Scenario = WET, **changes: Any) -> Path:
     return folder / request.run_id
 
 
-def options(path: Path, out: Path, **changes: Any) -> ShrinkOptions:
-    return make_shrink_options(path, **{
-        'perception': None, 'specs': (), 'nominal': (), 'runs': 100, 'workers': 1, 'out': out,
-        'resume': False, 'images': 'none', **changes,
-    })
+def options(path: Path, out: Path, **changes: Any) -> Shrinking:
+    return make_shrinking(path, **{'runs': 100, 'out': out, **changes})
 
 
-def drive(chosen: ShrinkOptions, judge: Judge = judged, most: int = 1000) -> Engine[Shrinking]:
+def drive(chosen: Shrinking, judge: Judge = judged, most: int = 1000) -> Engine[Shrinking]:
     """Run it as so many workers would, the newest run ending first; interrupt it after ``most``."""
-    with Engine(Shrinking(chosen), ('perception',)) as shrinking:
+    with Engine(chosen, ('perception',)) as shrinking:
         under_way: list[RunRequest] = []
         at_once = chosen.campaign.workers
         while True:
@@ -168,7 +161,7 @@ def test_given_few_runs_then_more_may_be_asked_for_on_resumption(tmp_path):
     found = make_report(few.proposer)
     assert found.state.end is End.SPENT
     assert len(few.rows) == 9
-    assert '--runs are spent' in result_lines(found, few.proposer.options, 9, 1.0)[0]
+    assert '--runs are spent' in result_lines(found, few.proposer, 1.0)[0]
     assert shrunk(drive(options(path, out, runs=200, resume=True))) == NEAREST
 
 
@@ -254,7 +247,7 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
     assert len(lines) == 8
     assert 'rain_percent: 31 % fails, 30 % passes (rho +0.01)' in finding_lines(found)
     assert '(a clear sky is dry too)' in finding_lines(found)[0]
-    assert run_command(shrinking.proposer.options, 'a b.scenic') == (
+    assert run_command(shrinking.proposer, 'a b.scenic') == (
         "taxinet run 'a b.scenic' --perception truth --set steering.heading_gain=1.5")
 
 
@@ -279,7 +272,7 @@ def test_given_a_shrinking_that_was_cut_short_then_only_what_was_run_passes_or_m
 def test_given_the_value_beside_fails_too_then_it_is_not_said_to_pass(tmp_path, rho):
     """Robustness 0 is no pass."""
     shrinking = drive(options(campaign(tmp_path / 'c'), tmp_path / 'out'))
-    search, space = shrinking.proposer.search, shrinking.proposer.options.space
+    search, space = shrinking.proposer.search, shrinking.proposer.space
     at = search.state.at
     axis = [one.key for one in space.moving].index('rain_percent')
     search.tell(search.moved(at, axis, at[axis] - 1), rho)
