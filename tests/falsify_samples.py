@@ -22,8 +22,7 @@ from taxinet_ros.scenes.source import Refused, Rejected, program_text
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.search import Search, SearchOptions
 
 SPACE = SearchSpace(choices=tuple(
     Choice(dimension=Dimension(name=name), feeds=frozenset({name})) for name in ('x', 'y')

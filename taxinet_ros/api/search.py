@@ -43,8 +43,7 @@ from taxinet_ros.trials.loop_run import campaign_loop
 from taxinet_ros.trials.loop_worker import loop_worker_command
 from taxinet_ros.trials.options import DEFAULT_SPECS, LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import make_estimate_options, make_search_options
+from taxinet_ros.trials.search import Search, make_estimate_options, make_search_options
 from taxinet_ros.trials.worker_pool import WorkerPool
 
 

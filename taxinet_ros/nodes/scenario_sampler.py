@@ -39,8 +39,7 @@ from taxinet_ros.trials.campaign import ProgramOrder, exit_code
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import DEFAULT_SPECS, CampaignOptions, make_options
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions, make_search_options
+from taxinet_ros.trials.search import Search, SearchOptions, make_search_options
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.summary import (
     campaign_heading,

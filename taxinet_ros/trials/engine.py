@@ -19,11 +19,15 @@ from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.samplers.sampler import Exhausted
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import UsageError
+from taxinet_ros.samplers.sampler import LAG, Exhausted
 from taxinet_ros.scenes.source import Rejected
+from taxinet_ros.trials.cluster.connection import check_cluster
 from taxinet_ros.trials.options import AUDIT, CampaignOptions
-from taxinet_ros.trials.record.book import CampaignBook
+from taxinet_ros.trials.record.book import CampaignBook, finished_row, rejected_row
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import planned_runs
 from taxinet_ros.trials.record.resumption import check_same_campaign, kept_facts, undecided_facts
@@ -240,7 +244,7 @@ class Engine(Generic[P_co]):
             self._retried.add(request.index)
             self._retries.append(self.book.begin_run(request.index, request.scenario))
         else:
-            self._keep(self.book.finished_row(request, result))
+            self._keep(finished_row(self.options, request, result))
         if result.outcome is Outcome.INTERRUPTED:
             self.interrupt()
         return result.outcome is not Outcome.INFRA_ERROR and not self.interrupted
@@ -263,7 +267,7 @@ class Engine(Generic[P_co]):
         try:
             scenario = self.proposer.scene(index)
         except Rejected as error:
-            self._keep(self.book.rejected_row(index, str(error)))
+            self._keep(rejected_row(self.options, index, str(error)))
             return None
         return self.book.begin_run(index, scenario)
 
@@ -291,6 +295,39 @@ class Engine(Generic[P_co]):
             self.broken = row
         if row.kind == AUDIT:
             self.stopped, self.broken = f'audit of run {row.index}: {row.detail}', row
+
+
+def with_workers(
+    campaign: CampaignOptions, workers: int, cluster: str | None, lag: int = LAG
+) -> CampaignOptions:
+    """The campaign with what makes its runs: worker processes here, or a cluster.
+
+    Args:
+        campaign: the campaign.
+        workers: number of worker processes.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        lag: number of runs that may be in flight.
+
+    Raises:
+        UsageError: too many workers, no cluster, or runs that a cluster cannot make.
+    """
+    if cluster is None:
+        if not 1 <= workers <= lag:
+            raise UsageError(f'--workers {workers}: needs to be within 1..{lag}')
+        return dataclasses.replace(campaign, workers=workers)
+    if workers != 1:
+        raise UsageError(
+            f'--workers {workers}: not with --cluster, whose own workers are used; leave it out'
+        )
+    for role, word in (('perception', campaign.perception), ('controller', campaign.controller)):
+        if word in (EXTERNAL, ''):
+            raise UsageError(
+                f'--cluster: not with a {role} that you start yourself, which the workers do not '
+                'see; use --workers, or give its command'
+            )
+    if again := find_world(campaign.world).again_words:
+        raise UsageError(f'--cluster: {again}, so workers would not give the same runs')
+    return dataclasses.replace(campaign, cluster=check_cluster(cluster))
 
 
 _POLL_S = 0.2

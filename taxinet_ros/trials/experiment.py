@@ -42,6 +42,7 @@ from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.scenes.overrides import check_overrides
 from taxinet_ros.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.scenes.programs import find_program, shipped_folder
+from taxinet_ros.trials.engine import with_workers
 from taxinet_ros.trials.options import (
     DEFAULT_SPECS,
     GRAPH,
@@ -54,7 +55,7 @@ from taxinet_ros.trials.options import (
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search_options import SearchOptions, with_workers
+from taxinet_ros.trials.search import SearchOptions
 
 SUFFIX = '.yaml'
 FOLDER = 'experiments'

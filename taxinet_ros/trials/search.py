@@ -9,11 +9,13 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judge import SpecCheck
+from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.samplers.covering import Covering
@@ -24,8 +26,17 @@ from taxinet_ros.samplers.registry import (
     make_covering_sampler,
     make_sampler,
 )
-from taxinet_ros.samplers.sampler import Lagged, Probabilities, Sampler
+from taxinet_ros.samplers.sampler import (
+    LAG,
+    MOST_LAG,
+    Lagged,
+    Probabilities,
+    Sampler,
+    split_options,
+)
 from taxinet_ros.samplers.space import Point, Space
+from taxinet_ros.samplers.splitting import NAME, particles_for
+from taxinet_ros.scenes.program_sampler import ProgramSampler
 from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.scenes.source import (
     Refused,
@@ -36,9 +47,17 @@ from taxinet_ros.scenes.source import (
     some_scenes,
 )
 from taxinet_ros.scenes.values import REJECTION_FEEDBACK
-from taxinet_ros.trials.engine import Proposer
+from taxinet_ros.trials.engine import Proposer, with_workers
+from taxinet_ros.trials.odd.odd_file import Odd, find_odd, read_odd
+from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.content import CampaignContent
-from taxinet_ros.trials.record.facts import ODD, UNTIL, campaign_facts, extension_facts
+from taxinet_ros.trials.record.facts import (
+    ODD,
+    UNTIL,
+    campaign_facts,
+    extension_facts,
+    read_facts,
+)
 from taxinet_ros.trials.record.resumption import (
     UNKNOWN_TO_SAMPLER,
     facts_of_graph,
@@ -46,10 +65,164 @@ from taxinet_ros.trials.record.resumption import (
     unknown_to_sampler,
 )
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search_options import SearchOptions, with_sampler
+from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY
+from taxinet_ros.trials.stop import StopRule, parse_stop_rule
 
 PATIENCE = 3
 """Number of consecutive infrastructure errors in one session that end the search."""
+COVERAGE = 'coverage'
+"""The sampler that takes an operational design domain."""
+DEFAULT_SAMPLER = 'active'
+"""Sampler to use if neither the user nor the program names one."""
+LEAST_PARTICLES = 20
+"""Fewest particles of an island; with fewer, one region of failures would be all it keeps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """Options of one search.
+
+    Attributes:
+        campaign: program, judging, perception and output folder.
+        sampler: word of the sampler that chooses the scenes; '' for the program's own, if it names
+            one, else :data:`DEFAULT_SAMPLER`.
+        sampler_options: its options as text, by name.
+        stop: stop before all runs are done, or None.
+        budget_s: wall-clock time after which no run is started [s], or None.
+        lag: number of runs that may be in flight where scenes depend on results: each is chosen by
+            the results of all but the last ``lag - 1``.
+        odd: the operational design domain that the sampler ``coverage`` covers, or None.
+    """
+
+    campaign: CampaignOptions
+    sampler: str
+    sampler_options: Mapping[str, str] = field(default_factory=dict)
+    stop: StopRule | None = None
+    budget_s: float | None = None
+    lag: int = LAG
+    odd: Odd | None = None
+
+
+def make_search_options(
+    campaign: CampaignOptions, *, sampler: str | None = None, sampler_options: Iterable[str] = (),
+    workers: int = 1, until: str | None = None, budget_min: float | None = None, lag: int = LAG,
+    cluster: str | None = None, odd: str | None = None,
+) -> SearchOptions:
+    """Check the command-line arguments.
+
+    Args:
+        campaign: validated campaign options, but for what makes the runs.
+        sampler: word of the sampler; None for the program's own or the default.
+        sampler_options: ``key=value`` texts.
+        workers: number of runs at a time.
+        until: a stop rule as text, or None.
+        budget_min: wall-clock time [min], or None.
+        lag: see :class:`SearchOptions`.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        odd: name or file of an operational design domain, or None.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if not 1 <= lag <= MOST_LAG:
+        raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
+    campaign = with_workers(campaign, workers, cluster, lag)
+    if budget_min is not None and not budget_min > 0:
+        raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
+    stop = parse_stop_rule(until) if until else None
+    if (
+        stop is not None and stop.kind == MAX_OFF_RUNWAY
+        and campaign.judging.stop_on is not StopOn.NEVER
+    ):
+        raise UsageError(
+            f'--until {until}: not with --stop-on {campaign.judging.stop_on}: of a run that was '
+            'stopped it is unknown whether it would have left the runway'
+        )
+    options = split_options(sampler_options)
+    if sampler is not None:
+        check_sampler(sampler, options)
+    if odd is not None and sampler != COVERAGE:
+        raise UsageError(
+            f'--odd {odd}: has an effect on --sampler {COVERAGE} only; to measure the coverage of '
+            'any search: taxinet odd coverage'
+        )
+    if odd is not None and 'cells' in options:
+        raise UsageError('--sampler-option cells: the cells are those of the ODD; leave it out')
+    return SearchOptions(
+        campaign=campaign, sampler=sampler or '', sampler_options=options,
+        stop=stop, budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
+        odd=None if odd is None else read_odd(find_odd(odd)),
+    )
+
+
+def make_estimate_options(
+    campaign: CampaignOptions, *, floor: float, islands: int, workers: int = 1
+) -> SearchOptions:
+    """Options of an estimate of a rare failure's probability.
+
+    Args:
+        campaign: validated campaign options; its runs are the most to spend.
+        floor: least probability that the runs have to suffice for.
+        islands: independent populations at first; to resume, those recorded.
+        workers: number of runs at a time.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if not 1e-12 <= floor <= 0.5:
+        raise UsageError(f'--down-to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
+    if not 4 <= islands <= 100:
+        raise UsageError(f'--islands {islands}: needs to be within 4..100')
+    runs = campaign.runs
+    if campaign.resume and (before := read_facts(campaign.out)) is not None:
+        first = before.get('first_runs')
+        runs = first if isinstance(first, int) else runs
+    particles = particles_for(runs, islands, floor)
+    if particles < LEAST_PARTICLES:
+        needed = runs
+        while particles_for(needed, islands, floor) < LEAST_PARTICLES:
+            needed += 100
+        raise UsageError(
+            f'--runs {runs}: too few to look for {floor:g} on {islands} islands; use '
+            f'--runs {needed}, or a greater --down-to'
+        )
+    return make_search_options(
+        campaign, sampler=NAME, workers=workers, sampler_options=[
+            f'draws={runs // 2}', f'particles={particles}', f'islands={islands}',
+            f'floor={floor!r}',
+        ],
+    )
+
+
+def with_sampler(
+    options: SearchOptions, asked: ProgramSampler | None
+) -> tuple[SearchOptions, str]:
+    """The options with the resolved sampler, and a line on its origin.
+
+    Args:
+        options: options given by the user.
+        asked: the program's request, or None.
+
+    Returns:
+        The options, and a line to print; '' if the program requests none.
+
+    Raises:
+        UsageError: the sampler does not have an option.
+    """
+    if options.sampler:
+        line = f'sampler {options.sampler}, as asked; not the {asked.said} of {asked.place}' \
+            if asked is not None else ''
+        return options, line
+    word = asked.word if asked is not None else DEFAULT_SAMPLER
+    values = {**(asked.options if asked is not None else {}), **options.sampler_options}
+    check_sampler(word, values)
+    if asked is None:
+        return replace(options, sampler=word), ''
+    shown = ''.join(f' {name}={value}' for name, value in values.items())
+    return (
+        replace(options, sampler=word, sampler_options=values),
+        f'sampler {word}{shown}, by {asked.said} of {asked.place}',
+    )
 
 
 class Search(Proposer):

@@ -14,8 +14,8 @@ from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import COVERAGE, FAILURES, SearchOptions
+from taxinet_ros.trials.search import COVERAGE, Search, SearchOptions
+from taxinet_ros.trials.stop import FAILURES
 from taxinet_ros.trials.summary import (
     ON_STANDING_GRAPH,
     blind_words,

@@ -9,8 +9,7 @@ from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.facts import recorded_system
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import make_search_options
+from taxinet_ros.trials.search import Search, make_search_options
 from taxinet_ros.trials.worker_pool import WorkerPool
 
 SETTINGS = {'duration': 4, 'cross_track': 3}

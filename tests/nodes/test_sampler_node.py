@@ -30,7 +30,7 @@ from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.trials.search_options import SearchOptions, make_search_options
+from taxinet_ros.trials.search import SearchOptions, make_search_options
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 

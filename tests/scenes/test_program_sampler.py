@@ -14,7 +14,7 @@ from taxinet_ros.scenes.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.scenes.source import SceneSource
 from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.search_options import DEFAULT_SAMPLER
+from taxinet_ros.trials.search import DEFAULT_SAMPLER
 
 PLACES = {'verifaiSamplerType': 'mine.scenic:3', 'verifaiSamplerParams': 'mine.scenic:4'}
 CE = 'param verifaiSamplerType = "ce"\n'

@@ -24,8 +24,7 @@ from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.rates import share_bounds
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions, make_estimate_options
+from taxinet_ros.trials.search import Search, SearchOptions, make_estimate_options
 
 pytestmark = pytest.mark.nightly
 

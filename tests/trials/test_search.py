@@ -23,14 +23,9 @@ from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import (
-    SearchOptions,
-    StopRule,
-    make_search_options,
-    parse_stop_rule,
-)
+from taxinet_ros.trials.search import Search, SearchOptions, make_search_options
 from taxinet_ros.trials.search_summary import search_summary
+from taxinet_ros.trials.stop import StopRule, parse_stop_rule
 
 
 @pytest.fixture(autouse=True)

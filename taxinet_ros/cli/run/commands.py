@@ -235,7 +235,7 @@ def falsify(
     from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.search_options import make_search_options
+    from taxinet_ros.trials.search import make_search_options
 
     if free:
         raise UsageError(
@@ -309,7 +309,7 @@ def estimate(
     from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.search_options import make_estimate_options
+    from taxinet_ros.trials.search import make_estimate_options
 
     if target_error is not None:
         raise UsageError(

@@ -21,8 +21,7 @@ from taxinet_ros.errors import ExitCode
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.samplers.splitting import RareEstimate, State
 from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.search import Search, SearchOptions
 from taxinet_ros.trials.search_summary import heading_lines
 from taxinet_ros.trials.summary import requirement_lines
 

@@ -54,8 +54,7 @@ from taxinet_ros.trials.experiment import (
 from taxinet_ros.trials.options import AUDIT, GRAPH, CampaignOptions
 from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.search import Search, SearchOptions
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.shrink.algorithm import End
 from taxinet_ros.trials.shrink.report import (

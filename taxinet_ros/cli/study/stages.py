@@ -14,7 +14,7 @@ from taxinet_ros.errors import ExitCode
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.trials.options import GRAPH, make_options
 from taxinet_ros.trials.record.facts import missing_packages_named
-from taxinet_ros.trials.search_options import make_search_options
+from taxinet_ros.trials.search import make_search_options
 
 
 def call_stage(stage: Stage, resume: bool) -> int:

@@ -134,6 +134,7 @@ class CampaignBook:
     """The open record of one campaign; a context manager that writes the table at its end.
 
     Attributes:
+        options: options of the campaign.
         facts: facts of the campaign, from :meth:`begin` on.
         earlier: what the record contained when it was opened; only within the ``with``.
         rows: the latest row of each run by index, as in the table, including earlier sessions.
@@ -159,7 +160,7 @@ class CampaignBook:
         self.rows: dict[int, RunRow] = {}
         self.warning = ''
         self.complete = False
-        self._options = options
+        self.options = options
         self._out = options.out
         self._participants = tuple(participants)
         self._on_row = on_row
@@ -294,21 +295,13 @@ class CampaignBook:
         self._write_due_facts()
         self._attempts[index] += 1
         request = run_request(
-            self._options, index, scenario, self._participants, self._attempts[index]
+            self.options, index, scenario, self._participants, self._attempts[index]
         )
         rename_broken(self._out / request.run_id)
         entries = [*self._new_documents(scenario), (BEGUN, run_key(index), self._attempts[index])]
         with self._watched():
             self._record.put_all(entries)
         return request
-
-    def finished_row(self, request: RunRequest, result: RunResult) -> RunRow:
-        """The row of a run that the graph has answered."""
-        return finished_row(self._options, request, result)
-
-    def rejected_row(self, index: int, detail: str) -> RunRow:
-        """The row of a scene rejected by the program's requirements."""
-        return rejected_row(self._options, index, detail)
 
     def keep(self, row: RunRow) -> None:
         """Record the result of a run.

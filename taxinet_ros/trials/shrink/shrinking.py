@@ -24,7 +24,7 @@ from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.engine import Proposer
+from taxinet_ros.trials.engine import Proposer, with_workers
 from taxinet_ros.trials.options import (
     DEFAULT_ROOT,
     CampaignOptions,
@@ -35,7 +35,6 @@ from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import facts_of_runs
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search_options import with_workers
 from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED, Point, ShrinkSearch
 from taxinet_ros.trials.shrink.space import STEPS, ShrinkSpace, make_shrink_space
 

@@ -29,8 +29,7 @@ from taxinet_ros.trials.cluster.task import OUT
 from taxinet_ros.trials.engine import Engine, RunSource, run_search
 from taxinet_ros.trials.record.facts import STACKS, read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.search import Search, SearchOptions
 from taxinet_ros.trials.worker_pool import WorkerPool
 
 pytestmark = [

@@ -14,7 +14,7 @@ from taxinet_ros.trials.odd.odd_file import Odd, read_odd
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search_options import make_search_options
+from taxinet_ros.trials.search import make_search_options
 from taxinet_ros.trials.search_summary import search_summary
 
 TEXT = """

@@ -18,7 +18,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import CampaignOptions
-from taxinet_ros.trials.record.book import CampaignBook
+from taxinet_ros.trials.record.book import CampaignBook, finished_row, rejected_row
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import facts_of_runs
 from taxinet_ros.trials.record.resumption import check_same_campaign
@@ -42,7 +42,7 @@ def goes_on(options: CampaignOptions) -> CampaignBook:
 def run(book: CampaignBook, index: int, scene: Scenario = SCENE) -> None:
     """Run one scene to its row."""
     request = book.begin_run(index, scene)
-    book.keep(book.finished_row(request, toy.result(request)))
+    book.keep(finished_row(book.options, request, toy.result(request)))
 
 
 def test_given_a_new_book_then_facts_starts_results_and_the_table_are_kept_in_step(tmp_path):
@@ -56,8 +56,8 @@ def test_given_a_new_book_then_facts_starts_results_and_the_table_are_kept_in_st
         assert read_campaign(options.out).unfinished == (0,)
         with pytest.raises(UsageError, match='another command is writing to it'):
             goes_on(options).__enter__()
-        book.keep(book.finished_row(request, toy.result(request)))
-        book.keep(book.rejected_row(1, 'no scene meets the requirements'))
+        book.keep(finished_row(book.options, request, toy.result(request)))
+        book.keep(rejected_row(book.options, 1, 'no scene meets the requirements'))
         content = read_campaign(options.out)
         assert (content.unfinished, content.finished) == ((), False)
         assert shown == list(book.rows.values()) == list(content.rows)
