@@ -41,8 +41,9 @@ from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.loop_run import campaign_loop
 from taxinet_ros.trials.loop_worker import loop_worker_command
-from taxinet_ros.trials.options import DEFAULT_SPECS, LOOP, make_options
+from taxinet_ros.trials.options import LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
+from taxinet_ros.trials.requirements import DEFAULT_SPECS
 from taxinet_ros.trials.search import Search, make_estimate_options, make_search_options
 from taxinet_ros.trials.worker_pool import WorkerPool
 

@@ -37,8 +37,9 @@ from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.samplers.registry import SAMPLERS
 from taxinet_ros.trials.campaign import ProgramOrder, exit_code
 from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.options import DEFAULT_SPECS, CampaignOptions, make_options
+from taxinet_ros.trials.options import CampaignOptions, make_options
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.requirements import DEFAULT_SPECS
 from taxinet_ros.trials.search import Search, SearchOptions, make_search_options
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.summary import (

@@ -43,18 +43,11 @@ from taxinet_ros.scenes.overrides import check_overrides
 from taxinet_ros.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.scenes.programs import find_program, shipped_folder
 from taxinet_ros.trials.engine import with_workers
-from taxinet_ros.trials.options import (
-    DEFAULT_SPECS,
-    GRAPH,
-    CampaignOptions,
-    check_engine,
-    check_new,
-    read_specs,
-    with_offsets,
-)
+from taxinet_ros.trials.options import GRAPH, CampaignOptions, check_engine, check_new, with_offsets
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.requirements import DEFAULT_SPECS, read_specs
 from taxinet_ros.trials.search import SearchOptions
 
 SUFFIX = '.yaml'

@@ -34,7 +34,6 @@ from taxinet_ros.scenes.programs import find_program, shipped_folder
 from taxinet_ros.scenes.source import program_text
 from taxinet_ros.trials.experiment import known_experiments, read_experiment
 from taxinet_ros.trials.learned_result import LEARNED_NAME, LearnedResult
-from taxinet_ros.trials.options import read_specs
 from taxinet_ros.trials.record.book import finished_row, run_request
 from taxinet_ros.trials.record.content import (
     BEGUN,
@@ -50,6 +49,7 @@ from taxinet_ros.trials.record.resumption import (
     unknown_to_sampler,
 )
 from taxinet_ros.trials.record.table import table
+from taxinet_ros.trials.requirements import read_specs
 
 Use = Callable[[bytes], object]
 

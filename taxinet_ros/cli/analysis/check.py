@@ -19,7 +19,7 @@ from taxinet_ros.cli.checked import tell_doubts
 from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.perception.perception import check_perception, network_doubts
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.trials.options import DEFAULT_JUDGING
+from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 
 _SEVERITY = (ExitCode.VIOLATED, ExitCode.INCOMPLETE, ExitCode.OK)
 

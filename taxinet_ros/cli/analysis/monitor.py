@@ -28,12 +28,7 @@ from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judge import SpecCheck, check_specs, describe_specs, signal_ranges
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.trials.options import (
-    check_assumptions,
-    check_assumptions_read,
-    read_specs,
-    split_settings,
-)
+from taxinet_ros.trials.options import split_settings
 from taxinet_ros.trials.past_runs.added_requirements import (
     add_requirements,
     addable,
@@ -41,6 +36,7 @@ from taxinet_ros.trials.past_runs.added_requirements import (
 )
 from taxinet_ros.trials.past_runs.judged_run import BagPlaces
 from taxinet_ros.trials.record.facts import is_campaign
+from taxinet_ros.trials.requirements import check_assumptions, check_assumptions_read, read_specs
 from taxinet_ros.trials.summary import requirement_lines
 
 

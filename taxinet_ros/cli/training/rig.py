@@ -17,7 +17,7 @@ from taxinet_ros.core.rig.camera_model import BY_HAND, CameraModel
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import dump_yaml
-from taxinet_ros.trials.options import SUFFIXES
+from taxinet_ros.trials.requirements import SUFFIXES
 
 
 def print_aircraft() -> None:
