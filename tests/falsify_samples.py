@@ -22,7 +22,7 @@ from taxinet_ros.scenes.source import Refused, Rejected, program_text
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.trials.search import Search, SearchOptions
+from taxinet_ros.trials.search import Search
 
 SPACE = SearchSpace(choices=tuple(
     Choice(dimension=Dimension(name=name), feeds=frozenset({name})) for name in ('x', 'y')
@@ -74,7 +74,7 @@ class ToySource:
 _OF_CAMPAIGN = ('seed', 'perception', 'overrides', 'workers', 'resume', 'cluster')
 
 
-def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -> SearchOptions:
+def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -> Search:
     """A search of the toy program; ``ce`` learns early, so a wrong order of results shows."""
     campaign = {
         'program': 'nominal', 'runs': runs, 'seed': 3, 'perception': 'truth', 'out': out,
@@ -82,9 +82,8 @@ def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -
         **({'judging': Judging(specs=changes.pop('specs'))} if 'specs' in changes else {}),
     }
     own = {'every': '1'} if sampler == 'ce' else {}
-    return SearchOptions(**{
-        'campaign': CampaignOptions(**campaign), 'sampler': sampler, 'sampler_options': own,
-        **changes,
+    return Search(CampaignOptions(**campaign), **{
+        'sampler': sampler, 'sampler_options': own, **changes,
     })
 
 
@@ -132,14 +131,14 @@ def answers(
 
 
 @contextlib.contextmanager
-def searching(chosen: SearchOptions) -> Iterator[Engine[Search]]:
+def searching(chosen: Search) -> Iterator[Engine[Search]]:
     """A search on the toy program; ``Search`` has been given :class:`ToySource` already."""
-    with Engine(Search(chosen), ('perception',)) as search:
+    with Engine(chosen, ('perception',)) as search:
         yield search
 
 
 def finish(
-    chosen: SearchOptions, workers: int = 1, pick: Pick = first,
+    chosen: Search, workers: int = 1, pick: Pick = first,
     judge: Callable[[RunRequest], RunResult] = result,
 ) -> Engine[Search]:
     """Run a search to its end."""

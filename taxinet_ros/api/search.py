@@ -44,7 +44,7 @@ from taxinet_ros.trials.loop_worker import loop_worker_command
 from taxinet_ros.trials.options import LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
 from taxinet_ros.trials.requirements import DEFAULT_SPECS
-from taxinet_ros.trials.search import Search, make_estimate_options, make_search_options
+from taxinet_ros.trials.search import Search, make_estimate, make_search
 from taxinet_ros.trials.worker_pool import WorkerPool
 
 
@@ -115,11 +115,11 @@ def falsify(
         stop_on=stop_on, controller=controller, bounds=text_list(bounds), rates=text_list(rates),
         latency=text_list(latency), world=world,
     )
-    search = Engine(Search(make_search_options(
+    search = Engine(make_search(
         dataclasses.replace(options, bags=False, engine=LOOP), sampler=sampler,
         sampler_options=_texts(sampler_options), workers=workers, until=until, lag=lag,
         cluster=cluster, odd=None if odd is None else os.fspath(odd),
-    )), participants=())
+    ), participants=())
     with _opened(search) as led:
         _execute(search, led)
         write_learned(search)
@@ -178,10 +178,10 @@ def estimate(
         controller=controller, bounds=text_list(bounds), rates=text_list(rates),
         latency=text_list(latency), world=world,
     )
-    search = Engine(Search(make_estimate_options(
+    search = Engine(make_estimate(
         dataclasses.replace(options, bags=False, engine=LOOP),
         floor=down_to, islands=islands, workers=workers,
-    )), participants=())
+    ), participants=())
     with _opened(search) as led:
         _execute(search, led)
         if words := unfinished_words(search):

@@ -40,7 +40,7 @@ from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions, make_options
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.requirements import DEFAULT_SPECS
-from taxinet_ros.trials.search import Search, SearchOptions, make_search_options
+from taxinet_ros.trials.search import Search, make_search
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.summary import (
     campaign_heading,
@@ -135,7 +135,7 @@ class StandaloneSampler(ScenarioSampler):
     Attributes:
         participants: nodes of the lockstep, without the simulator.
         campaign: campaign options.
-        search: search options; None if the program draws the scenes.
+        search: the search; None if the program draws the scenes.
         bags: folder in which the recorder writes, as it says; '' if none did.
     """
 
@@ -172,7 +172,7 @@ class StandaloneSampler(ScenarioSampler):
                     f'--set steering.{next(iter(self.campaign.gains))}: the controller is already '
                     'running; set gains as its parameters'
                 )
-            self.search: SearchOptions | None = make_search_options(
+            self.search: Search | None = make_search(
                 self.campaign, sampler=None if sampler == _PROGRAMS else sampler,
                 sampler_options=how['sampler_options'], until=how['until'] or None,
                 budget_min=how['budget'] or None,
@@ -258,11 +258,10 @@ def _campaign(node: StandaloneSampler, executor: Any) -> int:
     return exit_code(rows)
 
 
-def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> int:
+def _search(node: StandaloneSampler, executor: Any, search: Search) -> int:
     """Run scenes chosen by a sampler, as ``taxinet falsify``."""
-    search = Search(options)
     engine = Engine(search, node.participants, _shown(node))
-    resuming = f'-p resume:=true -p out:={options.campaign.out}'
+    resuming = f'-p resume:=true -p out:={engine.options.out}'
     with _interruptible(node, engine), engine:
         warning = [engine.book.warning] if engine.book.warning else []
         _say(node, [*warning, *heading_lines(search), *_plain_requirements(search.check)])
@@ -272,7 +271,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
         _say(node, [*search_summary(engine, resuming), *learned])
     if answers.trouble:
         return complain(f'{answers.trouble}; continue with {resuming}', ExitCode.INFRA)
-    if engine.interrupted and len(engine.rows) < options.campaign.runs:
+    if engine.interrupted and len(engine.rows) < engine.options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(engine.rows)
 

@@ -48,7 +48,7 @@ from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.requirements import DEFAULT_SPECS, read_specs
-from taxinet_ros.trials.search import SearchOptions
+from taxinet_ros.trials.search import Search
 
 SUFFIX = '.yaml'
 FOLDER = 'experiments'
@@ -310,7 +310,7 @@ def with_network(experiment: Experiment, perception: str) -> Experiment:
 def arm_searches(
     experiment: Experiment, out: Path, *, workers: int, resume: bool, engine: str = GRAPH,
     audit: str | None = None, cluster: str | None = None,
-) -> dict[str, SearchOptions]:
+) -> dict[str, Search]:
     """One search per arm, in its own folder, by name of the arm.
 
     Args:
@@ -334,8 +334,8 @@ def arm_searches(
     elif not _may_be_begun(experiment, out):
         raise UsageError(f'--resume: {out}: holds no arm of {experiment.name}; leave --resume out')
     return {
-        arm.name: SearchOptions(
-            campaign=dataclasses.replace(
+        arm.name: Search(
+            dataclasses.replace(
                 campaigns[arm.name], resume=resume and is_campaign(out / arm.name)
             ),
             sampler=experiment.sampler, sampler_options=experiment.sampler_options,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 from taxinet_ros.core.perception.perception import check_perception
@@ -78,172 +78,48 @@ LEAST_PARTICLES = 20
 """Fewest particles of an island; with fewer, one region of failures would be all it keeps."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SearchOptions:
-    """Options of one search.
+class Search(Proposer):
+    """Proposes the scenes that a sampler chooses.
 
     Attributes:
-        campaign: program, judging, perception and output folder.
-        sampler: word of the sampler that chooses the scenes; '' for the program's own, if it names
-            one, else :data:`DEFAULT_SAMPLER`.
+        sampler: word of the sampler that chooses the scenes.
         sampler_options: its options as text, by name.
         stop: stop before all runs are done, or None.
         budget_s: wall-clock time after which no run is started [s], or None.
         lag: number of runs that may be in flight where scenes depend on results: each is chosen by
             the results of all but the last ``lag - 1``.
         odd: the operational design domain that the sampler ``coverage`` covers, or None.
-    """
-
-    campaign: CampaignOptions
-    sampler: str
-    sampler_options: Mapping[str, str] = field(default_factory=dict)
-    stop: StopRule | None = None
-    budget_s: float | None = None
-    lag: int = LAG
-    odd: Odd | None = None
-
-
-def make_search_options(
-    campaign: CampaignOptions, *, sampler: str | None = None, sampler_options: Iterable[str] = (),
-    workers: int = 1, until: str | None = None, budget_min: float | None = None, lag: int = LAG,
-    cluster: str | None = None, odd: str | None = None,
-) -> SearchOptions:
-    """Check the command-line arguments.
-
-    Args:
-        campaign: validated campaign options, but for what makes the runs.
-        sampler: word of the sampler; None for the program's own or the default.
-        sampler_options: ``key=value`` texts.
-        workers: number of runs at a time.
-        until: a stop rule as text, or None.
-        budget_min: wall-clock time [min], or None.
-        lag: see :class:`SearchOptions`.
-        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
-        odd: name or file of an operational design domain, or None.
-
-    Raises:
-        UsageError: one line on the first error.
-    """
-    if not 1 <= lag <= MOST_LAG:
-        raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
-    campaign = with_workers(campaign, workers, cluster, lag)
-    if budget_min is not None and not budget_min > 0:
-        raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
-    stop = parse_stop_rule(until) if until else None
-    if (
-        stop is not None and stop.kind == MAX_OFF_RUNWAY
-        and campaign.judging.stop_on is not StopOn.NEVER
-    ):
-        raise UsageError(
-            f'--until {until}: not with --stop-on {campaign.judging.stop_on}: of a run that was '
-            'stopped it is unknown whether it would have left the runway'
-        )
-    options = split_options(sampler_options)
-    if sampler is not None:
-        check_sampler(sampler, options)
-    if odd is not None and sampler != COVERAGE:
-        raise UsageError(
-            f'--odd {odd}: has an effect on --sampler {COVERAGE} only; to measure the coverage of '
-            'any search: taxinet odd coverage'
-        )
-    if odd is not None and 'cells' in options:
-        raise UsageError('--sampler-option cells: the cells are those of the ODD; leave it out')
-    return SearchOptions(
-        campaign=campaign, sampler=sampler or '', sampler_options=options,
-        stop=stop, budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
-        odd=None if odd is None else read_odd(find_odd(odd)),
-    )
-
-
-def make_estimate_options(
-    campaign: CampaignOptions, *, floor: float, islands: int, workers: int = 1
-) -> SearchOptions:
-    """Options of an estimate of a rare failure's probability.
-
-    Args:
-        campaign: validated campaign options; its runs are the most to spend.
-        floor: least probability that the runs have to suffice for.
-        islands: independent populations at first; to resume, those recorded.
-        workers: number of runs at a time.
-
-    Raises:
-        UsageError: one line on the first error.
-    """
-    if not 1e-12 <= floor <= 0.5:
-        raise UsageError(f'--down-to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
-    if not 4 <= islands <= 100:
-        raise UsageError(f'--islands {islands}: needs to be within 4..100')
-    runs = campaign.runs
-    if campaign.resume and (before := read_facts(campaign.out)) is not None:
-        first = before.get('first_runs')
-        runs = first if isinstance(first, int) else runs
-    particles = particles_for(runs, islands, floor)
-    if particles < LEAST_PARTICLES:
-        needed = runs
-        while particles_for(needed, islands, floor) < LEAST_PARTICLES:
-            needed += 100
-        raise UsageError(
-            f'--runs {runs}: too few to look for {floor:g} on {islands} islands; use '
-            f'--runs {needed}, or a greater --down-to'
-        )
-    return make_search_options(
-        campaign, sampler=NAME, workers=workers, sampler_options=[
-            f'draws={runs // 2}', f'particles={particles}', f'islands={islands}',
-            f'floor={floor!r}',
-        ],
-    )
-
-
-def with_sampler(
-    options: SearchOptions, asked: ProgramSampler | None
-) -> tuple[SearchOptions, str]:
-    """The options with the resolved sampler, and a line on its origin.
-
-    Args:
-        options: options given by the user.
-        asked: the program's request, or None.
-
-    Returns:
-        The options, and a line to print; '' if the program requests none.
-
-    Raises:
-        UsageError: the sampler does not have an option.
-    """
-    if options.sampler:
-        line = f'sampler {options.sampler}, as asked; not the {asked.said} of {asked.place}' \
-            if asked is not None else ''
-        return options, line
-    word = asked.word if asked is not None else DEFAULT_SAMPLER
-    values = {**(asked.options if asked is not None else {}), **options.sampler_options}
-    check_sampler(word, values)
-    if asked is None:
-        return replace(options, sampler=word), ''
-    shown = ''.join(f' {name}={value}' for name, value in values.items())
-    return (
-        replace(options, sampler=word, sampler_options=values),
-        f'sampler {word}{shown}, by {asked.said} of {asked.place}',
-    )
-
-
-class Search(Proposer):
-    """Proposes the scenes that a sampler chooses.
-
-    Attributes:
-        options: options of the search; once prepared, including the program's sampler.
         notes: notes on the origin of the sampler and on likely mistakes in the program.
         check: result of checking the requirements, once prepared.
-        covering: the sampler that covers an ODD, or None.
+        covering: the sampler that covers ``odd``, or None.
     """
 
     source: SceneSource
     patience = PATIENCE
 
-    def __init__(self, options: SearchOptions) -> None:
-        """Create it; nothing is started."""
-        campaign = options.campaign
-        self.options = options
-        self.campaign = campaign
-        self.runs = campaign.runs
+    def __init__(
+        self, campaign: CampaignOptions, *, sampler: str = '',
+        sampler_options: Mapping[str, str] = MappingProxyType({}), stop: StopRule | None = None,
+        budget_s: float | None = None, lag: int = LAG, odd: Odd | None = None,
+    ) -> None:
+        """Create it; nothing is started.
+
+        Args:
+            campaign: options of the campaign; ``runs`` is the maximum number of its runs.
+            sampler: see above; '' for the program's own, if it names one, else
+                :data:`DEFAULT_SAMPLER`, known once prepared.
+            sampler_options: see above, as are all others.
+            stop: see above.
+            budget_s: see above.
+            lag: see above.
+            odd: see above.
+
+        Raises:
+            UsageError: there is no such program.
+        """
+        self.campaign, self.runs = campaign, campaign.runs
+        self.sampler, self.sampler_options = sampler, sampler_options
+        self.stop, self.budget_s, self.lag, self.odd = stop, budget_s, lag, odd
         self.notes: tuple[str, ...] = ()
         self.check: SpecCheck
         self.covering: Covering | None = None
@@ -278,14 +154,13 @@ class Search(Proposer):
 
         So it is independent of the workers.
         """
-        options = self.options
         if not self._sampler.ready or len(self._points) < self._begun:
             return ''
         known = [row for row in rows if row.index < self._sampler.due]
-        if options.stop is not None and options.stop.is_met(known):
-            return options.stop.reached
-        if options.budget_s is not None and time.monotonic() - self._started_s > options.budget_s:
-            return f'the budget of {options.budget_s / 60:g} min is spent'
+        if self.stop is not None and self.stop.is_met(known):
+            return self.stop.reached
+        if self.budget_s is not None and time.monotonic() - self._started_s > self.budget_s:
+            return f'the budget of {self.budget_s / 60:g} min is spent'
         return ''
 
     def propose(self) -> int | None:
@@ -327,7 +202,7 @@ class Search(Proposer):
         index, before = row.index, self._repeated.get(row.index)
         broken = before is not None and before.outcome is Outcome.INFRA_ERROR
         return row.with_choice(
-            sampler=self.options.sampler, point=self.space.named(self._points[index]),
+            sampler=self.sampler, point=self.space.named(self._points[index]),
             weight=self._weight(index), drawn=self._sampler.drawn(index),
             refused=self._refused[index], retries=(before.retries if before else 0) + broken,
         )
@@ -361,24 +236,23 @@ class Search(Proposer):
 
     def prepare(self) -> dict[str, Any]:
         """See :class:`.Proposer`."""
-        self.options, whose = with_sampler(self.options, self.source.sampler)
-        options, source = self.options, self.source
-        space = source.space()
+        source = self.source
+        whose = self._settle_sampler(source.sampler)
         self.notes = (*source.notes, *([whose] if whose else []))
-        self._sampler = self._make_sampler(space)
+        self._sampler = self._make_sampler(source.space())
         if source.feedback is not None and not self._sampler.hears_refusals:
-            self.notes += (f'{REJECTION_FEEDBACK} has no effect on {options.sampler}, which does '
+            self.notes += (f'{REJECTION_FEEDBACK} has no effect on {self.sampler}, which does '
                            'not learn from refused points',)
-        learns = SAMPLERS[options.sampler].learns
-        if learns or options.stop is not None or not self.campaign.cluster:
-            self._sampler.set_lag(options.lag)
+        learns = SAMPLERS[self.sampler].learns
+        if learns or self.stop is not None or not self.campaign.cluster:
+            self._sampler.set_lag(self.lag)
         else:  # workers here are no more than the lag in any case
             self._sampler.ignore_results()
-        if options.stop is not None and options.stop.needs_draws and not drawn_share(
-            options.sampler, options.sampler_options
+        if self.stop is not None and self.stop.needs_draws and not drawn_share(
+            self.sampler, self.sampler_options
         ):
             raise UsageError(
-                f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
+                f'--until {self.stop}: no rate is known with {self.sampler}, which chooses '
                 'all of its runs; add --sampler-option floor=0.3, or use failures=K'
             )
         self.check = self.campaign.check(
@@ -402,12 +276,33 @@ class Search(Proposer):
         done = [row for row in content.rows if row.index not in self._repeated]
         return done, {UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else {}
 
+    def _settle_sampler(self, asked: ProgramSampler | None) -> str:
+        """Choose the sampler of the program or the default, if none is asked for.
+
+        Returns:
+            A line on its origin; '' if the program requests none.
+
+        Raises:
+            UsageError: the sampler does not have an option.
+        """
+        if self.sampler:
+            return f'sampler {self.sampler}, as asked; not the {asked.said} of {asked.place}' \
+                if asked is not None else ''
+        self.sampler = asked.word if asked is not None else DEFAULT_SAMPLER
+        values = {**(asked.options if asked is not None else {}), **self.sampler_options}
+        check_sampler(self.sampler, values)
+        self.sampler_options = values
+        if asked is None:
+            return ''
+        shown = ''.join(f' {name}={value}' for name, value in values.items())
+        return f'sampler {self.sampler}{shown}, by {asked.said} of {asked.place}'
+
     def _make_sampler(self, space: Space) -> Lagged:
-        options, campaign, odd = self.options, self.campaign, self.options.odd
-        names: dict[str, Any] = dict(options.sampler_options)
+        campaign, odd = self.campaign, self.odd
+        names: dict[str, Any] = dict(self.sampler_options)
         if odd is None:
-            return make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
-        strength = int(check_sampler(options.sampler, names)['strength'])
+            return make_sampler(self.sampler, space, campaign.seed, campaign.runs, **names)
+        strength = int(check_sampler(self.sampler, names)['strength'])
         if strength > len(odd.parameters):
             raise UsageError(
                 f'--sampler-option strength={strength}: the ODD {odd.name} has only '
@@ -430,26 +325,117 @@ class Search(Proposer):
     @property
     def _recorded_lag(self) -> int:
         # A sampler in batches waits for whole ones, whatever the lag.
-        return 1 if SAMPLERS[self.options.sampler].batched else self.options.lag
+        return 1 if SAMPLERS[self.sampler].batched else self.lag
 
     def _facts(self) -> dict[str, Any]:
-        campaign, options = self.campaign, self.options
+        campaign = self.campaign
         facts = campaign_facts(campaign, self.source.program, self.source.text)
         return {
             **facts,
-            **extension_facts(facts, samplers=options.sampler),
+            **extension_facts(facts, samplers=self.sampler),
             'first_runs': campaign.runs,
             'warnings': list(self.check.warnings),
             'perception_sha256': (
                 '' if campaign.standing_graph
                 else check_perception(campaign.perception, graph=True)
             ),
-            'sampler': options.sampler,
-            'sampler_options': dict(options.sampler_options),
+            'sampler': self.sampler,
+            'sampler_options': dict(self.sampler_options),
             'sampler_lag': self._recorded_lag,
             'dimensions': [dimension.name for dimension in self.source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
-            'grid_runs': campaign.runs if options.sampler == 'grid' else None,
-            **({ODD: json.loads(options.odd.text)} if options.odd is not None else {}),
-            **({UNTIL: [str(options.stop)]} if options.stop is not None else {}),
+            'grid_runs': campaign.runs if self.sampler == 'grid' else None,
+            **({ODD: json.loads(self.odd.text)} if self.odd is not None else {}),
+            **({UNTIL: [str(self.stop)]} if self.stop is not None else {}),
         }
+
+
+def make_search(
+    campaign: CampaignOptions, *, sampler: str | None = None, sampler_options: Iterable[str] = (),
+    workers: int = 1, until: str | None = None, budget_min: float | None = None, lag: int = LAG,
+    cluster: str | None = None, odd: str | None = None,
+) -> Search:
+    """Check what a user asks for.
+
+    Args:
+        campaign: validated campaign options, but for what makes the runs.
+        sampler: word of the sampler; None for the program's own or the default.
+        sampler_options: ``key=value`` texts.
+        workers: number of runs at a time.
+        until: a stop rule as text, or None.
+        budget_min: wall-clock time [min], or None.
+        lag: see :class:`Search`.
+        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        odd: name or file of an operational design domain, or None.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if not 1 <= lag <= MOST_LAG:
+        raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
+    campaign = with_workers(campaign, workers, cluster, lag)
+    if budget_min is not None and not budget_min > 0:
+        raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
+    stop = parse_stop_rule(until) if until else None
+    if (
+        stop is not None and stop.kind == MAX_OFF_RUNWAY
+        and campaign.judging.stop_on is not StopOn.NEVER
+    ):
+        raise UsageError(
+            f'--until {until}: not with --stop-on {campaign.judging.stop_on}: of a run that was '
+            'stopped it is unknown whether it would have left the runway'
+        )
+    options = split_options(sampler_options)
+    if sampler is not None:
+        check_sampler(sampler, options)
+    if odd is not None and sampler != COVERAGE:
+        raise UsageError(
+            f'--odd {odd}: has an effect on --sampler {COVERAGE} only; to measure the coverage of '
+            'any search: taxinet odd coverage'
+        )
+    if odd is not None and 'cells' in options:
+        raise UsageError('--sampler-option cells: the cells are those of the ODD; leave it out')
+    return Search(
+        campaign, sampler=sampler or '', sampler_options=options, stop=stop,
+        budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
+        odd=None if odd is None else read_odd(find_odd(odd)),
+    )
+
+
+def make_estimate(
+    campaign: CampaignOptions, *, floor: float, islands: int, workers: int = 1
+) -> Search:
+    """The search that estimates a rare failure's probability.
+
+    Args:
+        campaign: validated campaign options; its runs are the most to spend.
+        floor: least probability that the runs have to suffice for.
+        islands: independent populations at first; to resume, those recorded.
+        workers: number of runs at a time.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if not 1e-12 <= floor <= 0.5:
+        raise UsageError(f'--down-to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
+    if not 4 <= islands <= 100:
+        raise UsageError(f'--islands {islands}: needs to be within 4..100')
+    runs = campaign.runs
+    if campaign.resume and (before := read_facts(campaign.out)) is not None:
+        first = before.get('first_runs')
+        runs = first if isinstance(first, int) else runs
+    particles = particles_for(runs, islands, floor)
+    if particles < LEAST_PARTICLES:
+        needed = runs
+        while particles_for(needed, islands, floor) < LEAST_PARTICLES:
+            needed += 100
+        raise UsageError(
+            f'--runs {runs}: too few to look for {floor:g} on {islands} islands; use '
+            f'--runs {needed}, or a greater --down-to'
+        )
+    return make_search(
+        campaign, sampler=NAME, workers=workers, sampler_options=[
+            f'draws={runs // 2}', f'particles={particles}', f'islands={islands}',
+            f'floor={floor!r}',
+        ],
+    )

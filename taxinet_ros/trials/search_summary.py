@@ -14,7 +14,7 @@ from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import COVERAGE, Search, SearchOptions
+from taxinet_ros.trials.search import COVERAGE, Search
 from taxinet_ros.trials.stop import FAILURES
 from taxinet_ros.trials.summary import (
     ON_STANDING_GRAPH,
@@ -31,21 +31,20 @@ from taxinet_ros.trials.summary import (
 )
 
 
-def search_heading(options: SearchOptions) -> str:
-    """Heading that describes the search."""
-    campaign = options.campaign
+def _heading(search: Search) -> str:
+    campaign = search.campaign
     verb = 'resuming' if campaign.resume else 'searching'
     graph = f'{participants_words(campaign)}, {workers_words(campaign)}'
     return (
         f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
-        f'{options.sampler}, seed {campaign.seed}, '
+        f'{search.sampler}, seed {campaign.seed}, '
         f'{ON_STANDING_GRAPH if campaign.standing_graph else graph} -> {campaign.out}'
     )
 
 
 def heading_lines(search: Search) -> list[str]:
     """What is printed before the first run of an open search."""
-    return [search_heading(search.options), *space_lines(search.space), *search.notes]
+    return [_heading(search), *space_lines(search.space), *search.notes]
 
 
 def space_lines(space: SearchSpace) -> list[str]:
@@ -110,7 +109,7 @@ def _rate_lines(search: Engine[Search]) -> list[str]:
         f'({failed.rests_on})',
         f'{made}, median {speed:.1f}x real time',
     ]
-    stop = search.proposer.options.stop
+    stop = search.proposer.stop
     if stop is not None and stop.kind == FAILURES and search.stopped == stop.reached:
         lines.append('it ended with a failure, so the share of failures is too high on average; '
                      'the interval holds all the same')
@@ -131,12 +130,11 @@ _MOST_UNSEEN = 5
 
 def _odd_lines(search: Engine[Search]) -> list[str]:
     """What the judged runs cover of the ODD, and what the program was not seen to reach."""
-    options, covering = search.proposer.options, search.proposer.covering
-    odd = options.odd
+    odd, covering = search.proposer.odd, search.proposer.covering
     if odd is None or covering is None:
         return []
     reach = covering.reach()
-    strength = int(check_sampler(COVERAGE, options.sampler_options)['strength'])
+    strength = int(check_sampler(COVERAGE, search.proposer.sampler_options)['strength'])
     feasible = odd.feasible(strength)
     covered = {each: np.zeros(mask.shape, dtype=bool) for each, mask in feasible.items()}
     judged = [row for row in search.rows if row.outcome.judged]

@@ -9,7 +9,7 @@ from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.facts import recorded_system
-from taxinet_ros.trials.search import Search, make_search_options
+from taxinet_ros.trials.search import make_search
 from taxinet_ros.trials.worker_pool import WorkerPool
 
 SETTINGS = {'duration': 4, 'cross_track': 3}
@@ -35,8 +35,8 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
         settings=[f'{name}={value}' for name, value in SETTINGS.items()], processes=False,
         images='none',
     )
-    options = make_search_options(campaign, sampler='random')
-    with Engine(Search(options), PARTICIPANTS) as graphs:
+    options = make_search(campaign, sampler='random')
+    with Engine(options, PARTICIPANTS) as graphs:
         command = worker_command(campaign_graph(
             campaign, recorded_system(campaign, graphs.book.facts)
         ))

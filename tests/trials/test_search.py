@@ -23,7 +23,7 @@ from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import Search, SearchOptions, make_search_options
+from taxinet_ros.trials.search import Search, make_search
 from taxinet_ros.trials.search_summary import search_summary
 from taxinet_ros.trials.stop import StopRule, parse_stop_rule
 
@@ -159,7 +159,7 @@ def test_given_a_finished_search_when_resumed_with_more_runs_then_only_those_are
     toy.finish(toy.options(tmp_path / 'longer', runs=25))
     new = []
     chosen = toy.options(copy, runs=25, resume=True)
-    with Engine(Search(chosen), ('perception',), new.append) as search:
+    with Engine(chosen, ('perception',), new.append) as search:
         for _ in toy.answers(search, 1):
             pass
     assert [row.index for row in new] == [20, 21, 22, 23, 24]
@@ -388,7 +388,7 @@ def test_given_a_rule_that_is_none_then_it_is_refused(text):
         parse_stop_rule(text)
 
 
-def ask(folder: Path, **changes) -> SearchOptions:
+def ask(folder: Path, **changes) -> Search:
     names = ('out', 'images', 'resume', 'stop_on')
     campaign = {
         'program': 'nominal', 'runs': 5, 'seed': 1, 'perception': 'truth', 'settings': (),
@@ -398,7 +398,7 @@ def ask(folder: Path, **changes) -> SearchOptions:
     own = {
         'sampler': 'ce', **{name: value for name, value in changes.items() if name not in names},
     }
-    return make_search_options(make_options(**campaign), **own)
+    return make_search(make_options(**campaign), **own)
 
 
 def test_given_the_runway_and_runs_that_stop_early_then_the_rule_is_refused(tmp_path):

@@ -55,7 +55,7 @@ def test_given_a_standing_graph_then_the_runs_are_those_of_any_other_and_their_p
 
 
 def test_given_answers_then_what_was_asked_names_the_perception_from_the_first_one_on(tmp_path):
-    with Engine(Search(standing(tmp_path / 'c')), ('perception',)) as search:
+    with Engine(standing(tmp_path / 'c'), ('perception',)) as search:
         assert search.perception == ''
         assert read_facts(tmp_path / 'c')['perception'] == ''
         request = begin(search)
@@ -79,7 +79,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
     before, after, words, resumed, tmp_path
 ):
     out = tmp_path / 'c'
-    with Engine(Search(standing(out)), ('perception',)) as search:
+    with Engine(standing(out), ('perception',)) as search:
         first = begin(search)
         search.take(first, answered(*before)(first))
         if not resumed:
@@ -87,7 +87,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
             with pytest.raises(UsageError) as caught:
                 search.take(second, answered(*after)(second))
     if resumed:
-        with Engine(Search(standing(out, resume=True)), ('perception',)) as search:
+        with Engine(standing(out, resume=True), ('perception',)) as search:
             second = begin(search)
             with pytest.raises(UsageError) as caught:
                 search.take(second, answered(*after)(second))
@@ -96,7 +96,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
     assert (first.index, second.index) == (0, 1)
     assert list(read_table(out)['index']) == [0]
     assert read_facts(out)['perception'] == before[0]
-    with Engine(Search(standing(out, resume=True)), ('perception',)) as search:
+    with Engine(standing(out, resume=True), ('perception',)) as search:
         third = begin(search)
         assert third.run_id == f'{second.run_id}.2'
         search.take(third, answered(*before)(third))
@@ -104,7 +104,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
 
 
 def test_given_the_same_network_by_another_name_then_it_is_the_same(tmp_path):
-    with Engine(Search(standing(tmp_path / 'c')), ('perception',)) as search:
+    with Engine(standing(tmp_path / 'c'), ('perception',)) as search:
         for word in ('original', 'weights'):
             request = begin(search)
             search.take(request, answered(word, 'abc')(request))
@@ -114,12 +114,12 @@ def test_given_the_same_network_by_another_name_then_it_is_the_same(tmp_path):
 def test_given_broken_and_interrupted_runs_then_every_attempt_has_a_name_of_its_own(tmp_path):
     out = tmp_path / 'c'
     names = []
-    with Engine(Search(standing(out)), ('perception',)) as search:
+    with Engine(standing(out), ('perception',)) as search:
         for outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED):
             request = begin(search)
             names.append(request.run_id)
             search.take(request, toy.result(request, outcome))
-    with Engine(Search(standing(out, resume=True)), ('perception',)) as search:
+    with Engine(standing(out, resume=True), ('perception',)) as search:
         request = begin(search)
         names.append(request.run_id)
         search.take(request, answered('truth')(request))

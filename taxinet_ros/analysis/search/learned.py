@@ -70,7 +70,7 @@ def _nothing_learned(search: Engine[Search], probabilities: Probabilities) -> st
     priors = {choice.dimension.name: choice.dimension.prior for choice in searched}
     if all(probabilities[name] == priors[name] for name in probabilities):
         return (
-            f'after {judged} judged runs {search.proposer.options.sampler} still draws as the '
+            f'after {judged} judged runs {search.proposer.sampler} still draws as the '
             'program does; ask for more --runs'
         )
     return ''
@@ -117,13 +117,13 @@ def _heaviest(search: Engine[Search], weights: Sequence[float]) -> float | None:
 
     None without such a share, and for a package's sampler that does not say it as ``floor``.
     """
-    options = search.proposer.options
+    options = search.proposer
     floor = check_sampler(options.sampler, options.sampler_options).get('floor', 0.0)
     return max(1 / floor, *weights) if floor else None
 
 
 def _title(search: Engine[Search]) -> str:
-    program, sampler = Path(search.options.program).stem, search.proposer.options.sampler
+    program, sampler = Path(search.options.program).stem, search.proposer.sampler
     return (
         f'Failures of {search.perception} on {program}, found by {sampler} in '
         f'{len(search.rows)} runs'

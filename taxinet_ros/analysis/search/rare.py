@@ -57,7 +57,7 @@ def estimate_values(found: RareEstimate, search: Engine[Search]) -> dict[str, An
     return {
         'program': options.program, 'perception': search.perception,
         'headline': options.judging.headline, 'seed': options.seed,
-        'sampler_options': dict(search.proposer.options.sampler_options),
+        'sampler_options': dict(search.proposer.sampler_options),
         'state': str(found.state),
         'low': found.low, 'high': found.high, 'confidence': CONFIDENCE,
         'probability': found.probability or None, 'drawn_plainly': found.plain,

@@ -235,7 +235,7 @@ def falsify(
     from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.search import make_search_options
+    from taxinet_ros.trials.search import make_search
 
     if free:
         raise UsageError(
@@ -252,11 +252,11 @@ def falsify(
             world=world_word(world, renderer_of(camera)),
             engine=engine, audit=audit,
         )
-        options = make_search_options(
+        search = make_search(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
             until=until, budget_min=budget, lag=lag, cluster=cluster, odd=odd,
         )
-    raise ended(run_falsify(options, quiet=quiet, as_json=as_json), exit_zero)
+    raise ended(run_falsify(search, quiet=quiet, as_json=as_json), exit_zero)
 
 
 def estimate(
@@ -309,7 +309,7 @@ def estimate(
     from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.search import make_estimate_options
+    from taxinet_ros.trials.search import make_estimate
 
     if target_error is not None:
         raise UsageError(
@@ -326,10 +326,10 @@ def estimate(
             latency=latency or (), world=world_word(world, renderer_of(camera)), engine=engine,
             audit=audit,
         )
-        options = make_estimate_options(
+        search = make_estimate(
             campaign, floor=down_to, islands=islands, workers=workers
         )
-    raise typer.Exit(run_estimate(options, quiet=quiet, as_json=as_json))
+    raise typer.Exit(run_estimate(search, quiet=quiet, as_json=as_json))
 
 
 def shrink(

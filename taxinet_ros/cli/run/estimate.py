@@ -21,16 +21,16 @@ from taxinet_ros.errors import ExitCode
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.samplers.splitting import RareEstimate, State
 from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.search import Search, SearchOptions
+from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_summary import heading_lines
 from taxinet_ros.trials.summary import requirement_lines
 
 
-def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
+def run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
     """Run the chains, and print and write the estimate.
 
     Args:
-        options: options of the search, by the sampler ``splitting``.
+        asked: the search, by the sampler ``splitting``.
         quiet: print warnings and the result only.
         as_json: print the result as JSON, and all else on standard error.
 
@@ -41,15 +41,15 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
     Raises:
         UsageError: bad input.
     """
-    check_workers(options.campaign.workers)
+    check_workers(asked.campaign.workers)
     console = Console(highlight=False, stderr=as_json)
-    with open_search(options, console, quiet=True) as search:
+    with open_search(asked, console, quiet=True) as search:
         lines: list[str] = [search.book.warning] if search.book.warning else []
         if not quiet:
-            lines += heading_lines(search.proposer)
+            lines += heading_lines(asked)
         for line in lines:
             console.print(line, soft_wrap=True, markup=False)
-        for requirement in requirement_lines(search.proposer.check, quiet=quiet):
+        for requirement in requirement_lines(asked.check, quiet=quiet):
             console.print(requirement, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search)

@@ -54,7 +54,7 @@ from taxinet_ros.trials.experiment import (
 from taxinet_ros.trials.options import AUDIT, GRAPH, CampaignOptions
 from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import Search, SearchOptions
+from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.shrink.algorithm import End
 from taxinet_ros.trials.shrink.report import (
@@ -127,11 +127,11 @@ class _Figures(ProgressColumn):
         return Text('  '.join(words))
 
 
-def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -> int:
+def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
     """Run the search and print the results.
 
     Args:
-        options: options of the search.
+        asked: the search.
         quiet: print warnings and the summary only.
         as_json: print the summary as JSON; all else goes to standard error.
 
@@ -141,18 +141,18 @@ def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -
     Raises:
         UsageError: bad input, or every scene was rejected.
     """
-    check_workers(options.campaign.workers)
+    check_workers(asked.campaign.workers)
     console = Console(highlight=False, stderr=as_json)
     with (
-        _open_cluster(options.campaign, console) as cluster,
-        open_search(options, console, quiet=quiet) as search,
+        _open_cluster(asked.campaign, console) as cluster,
+        open_search(asked, console, quiet=quiet) as search,
     ):
         if search.book.warning:
             console.print(search.book.warning, soft_wrap=True, markup=False)
         if not quiet:
-            lines = heading_lines(search.proposer)
+            lines = heading_lines(asked)
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
-        for line in requirement_lines(search.proposer.check, quiet=quiet):
+        for line in requirement_lines(asked.check, quiet=quiet):
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search, cluster)
@@ -160,8 +160,8 @@ def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if as_json:
-        values = summary_json(search.rows, options.campaign, planned)
-        print(json.dumps({**values, 'sampler': search.proposer.options.sampler}, allow_nan=False))
+        values = summary_json(search.rows, asked.campaign, planned)
+        print(json.dumps({**values, 'sampler': asked.sampler}, allow_nan=False))
     if search.interrupted and len(search.rows) < search.options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
@@ -169,12 +169,12 @@ def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -
 
 @contextlib.contextmanager
 def open_search(
-    options: SearchOptions, console: Console, *, quiet: bool
+    asked: Search, console: Console, *, quiet: bool
 ) -> Iterator[Engine[Search]]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
     shown = not (quiet or console.is_terminal)
     show = partial(_print_row, console=console, quiet=quiet)
-    search = Engine(Search(options), PARTICIPANTS, show)
+    search = Engine(asked, PARTICIPANTS, show)
     with print_rows_if_lost(console, search.rows, shown=shown), search:
         yield search
 
@@ -235,13 +235,13 @@ def run_experiment(
         experiment, out, workers=workers, resume=resume, engine=engine, audit=audit,
         cluster=cluster,
     )
-    for number, (name, options) in enumerate(searches.items(), 1):
+    for number, (name, arm) in enumerate(searches.items(), 1):
         console.print(
             f'arm {number} of {len(searches)}: {name}, {experiment.runs} scenes -> '
-            f'{options.campaign.out}', soft_wrap=True,
+            f'{arm.campaign.out}', soft_wrap=True,
         )
-        search = _run_arm(options, console, first=number == 1)
-        if search.interrupted and len(search.rows) < options.campaign.runs:
+        search = _run_arm(arm, console, first=number == 1)
+        if search.interrupted and len(search.rows) < arm.campaign.runs:
             console.print('interrupted; continue with --resume')
             return ExitCode.INTERRUPTED
         if search.stopped and not search.exhausted:
@@ -256,18 +256,18 @@ def run_experiment(
     return ExitCode.INFRA if broken else ExitCode.OK
 
 
-def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Engine[Search]:
+def _run_arm(arm: Search, console: Console, *, first: bool) -> Engine[Search]:
     """Run one arm until it is complete, interrupted, or ended by an infrastructure error.
 
     The first arm prints how the requirements are parsed; they are the same in all arms.
     """
     with (
-        _open_cluster(options.campaign, console) as cluster,
-        open_search(options, console, quiet=False) as search,
+        _open_cluster(arm.campaign, console) as cluster,
+        open_search(arm, console, quiet=False) as search,
     ):
-        for line in requirement_lines(search.proposer.check, quiet=not first):
+        for line in requirement_lines(arm.check, quiet=not first):
             console.print(line, soft_wrap=True)
-        for note in (*search.proposer.notes, *filter(None, [search.book.warning])):
+        for note in (*arm.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
         with search_view(console, search, shown=console.is_terminal):
             run_on_workers(search, cluster)

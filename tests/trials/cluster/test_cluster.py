@@ -29,7 +29,7 @@ from taxinet_ros.trials.cluster.task import OUT
 from taxinet_ros.trials.engine import Engine, RunSource, run_search
 from taxinet_ros.trials.record.facts import STACKS, read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import Search, SearchOptions
+from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.worker_pool import WorkerPool
 
 pytestmark = [
@@ -71,7 +71,7 @@ def here(tmp_path: Path) -> Callable[..., Path]:
     """What makes the campaign with the local pool, for comparison."""
     def make(**changes: Any) -> Path:
         chosen = options(tmp_path / 'here', **changes)
-        with Engine(Search(chosen), ('perception',)) as search, WorkerPool(
+        with Engine(chosen, ('perception',)) as search, WorkerPool(
             [sys.executable, str(TOY), str(chosen.campaign.out), str(tmp_path)],
             min(2, chosen.lag), chosen.campaign.out / 'logs',
         ) as pool:
@@ -81,7 +81,7 @@ def here(tmp_path: Path) -> Callable[..., Path]:
     return make
 
 
-def options(out: Path, **changes: Any) -> SearchOptions:
+def options(out: Path, **changes: Any) -> Search:
     return toy.options(out, **{'runs': RUNS, **changes})
 
 
@@ -112,7 +112,7 @@ def there(
     acts, kept = acts or {}, list[int]()
     with (
         campaign_cluster(chosen.campaign, where, tell=told.append) as cluster,
-        Engine(Search(chosen), ('perception',), lambda row: kept.append(row.index)) as search,
+        Engine(chosen, ('perception',), lambda row: kept.append(row.index)) as search,
         ClusterPool(
             cluster, [sys.executable, str(TOY), OUT, str(out.parent)], out,
             on_machine=search.book.add_machine,
@@ -161,7 +161,7 @@ def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
     assert set(read_table(out)['outcome']) <= {'PASS', 'FAIL', 'REJECTED'}
     pace.unlink()
     chosen = options(out, resume=True)
-    with Engine(Search(chosen), ('perception',)) as search, WorkerPool(
+    with Engine(chosen, ('perception',)) as search, WorkerPool(
         [sys.executable, str(TOY), str(out), str(tmp_path)], 2, out / 'logs'
     ) as pool:
         run_search(search, pool)
@@ -272,7 +272,7 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     with (
         pytest.raises(InfraError, match='has another perception now'),
         campaign_cluster(chosen.campaign, processes.address, tell=told.append) as cluster,
-        Engine(Search(chosen), ('perception',)) as search,
+        Engine(chosen, ('perception',)) as search,
         ClusterPool(
             cluster, [sys.executable, str(TOY), OUT, str(tmp_path)], out,
             fingerprint='1' * 64,

@@ -14,7 +14,7 @@ from taxinet_ros.trials.odd.odd_file import Odd, read_odd
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import make_search_options
+from taxinet_ros.trials.search import make_search
 from taxinet_ros.trials.search_summary import search_summary
 
 TEXT = """
@@ -98,7 +98,7 @@ def test_given_options_without_effect_then_they_are_refused_by_name(tmp_path, od
     campaign = CampaignOptions(program='nominal', runs=3, seed=0, perception='truth',
                                out=tmp_path / 'out')
     def make(sampler, *sampler_options):
-        return make_search_options(
+        return make_search(
             campaign, sampler=sampler, sampler_options=sampler_options, odd='s_falsif'
         )
 
