@@ -111,7 +111,7 @@ def falsify(
     options = make_options(
         program=os.fspath(program), runs=runs, seed=seed, perception=perception,
         settings=_texts(settings), specs=spec_texts(specs),
-        out=None if out is None else Path(out), processes=False, images='none', resume=resume,
+        out=None if out is None else Path(out), images='none', resume=resume,
         stop_on=stop_on, controller=controller, bounds=text_list(bounds), rates=text_list(rates),
         latency=text_list(latency), world=world,
     )
@@ -174,7 +174,7 @@ def estimate(
     options = make_options(
         program=os.fspath(program), runs=runs, seed=seed, perception=perception,
         settings=_texts(settings), specs=spec_texts(specs),
-        out=None if out is None else Path(out), processes=False, images='none', resume=resume,
+        out=None if out is None else Path(out), images='none', resume=resume,
         controller=controller, bounds=text_list(bounds), rates=text_list(rates),
         latency=text_list(latency), world=world,
     )

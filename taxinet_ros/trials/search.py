@@ -82,13 +82,8 @@ class Search(Proposer):
     """Proposes the scenes that a sampler chooses.
 
     Attributes:
-        sampler: word of the sampler that chooses the scenes.
-        sampler_options: its options as text, by name.
-        stop: stop before all runs are done, or None.
-        budget_s: wall-clock time after which no run is started [s], or None.
-        lag: number of runs that may be in flight where scenes depend on results: each is chosen by
-            the results of all but the last ``lag - 1``.
-        odd: the operational design domain that the sampler ``coverage`` covers, or None.
+        sampler, sampler_options: as given; once prepared, the program's own if none was given.
+        stop, budget_s, lag, odd: as given.
         notes: notes on the origin of the sampler and on likely mistakes in the program.
         check: result of checking the requirements, once prepared.
         covering: the sampler that covers ``odd``, or None.
@@ -106,13 +101,14 @@ class Search(Proposer):
 
         Args:
             campaign: options of the campaign; ``runs`` is the maximum number of its runs.
-            sampler: see above; '' for the program's own, if it names one, else
-                :data:`DEFAULT_SAMPLER`, known once prepared.
-            sampler_options: see above, as are all others.
-            stop: see above.
-            budget_s: see above.
-            lag: see above.
-            odd: see above.
+            sampler: word of the sampler that chooses the scenes; '' for the program's own, if it
+                names one, else :data:`DEFAULT_SAMPLER`.
+            sampler_options: its options as text, by name.
+            stop: stop before all runs are done, or None.
+            budget_s: wall-clock time after which no run is started [s], or None.
+            lag: number of runs that may be in flight where scenes depend on results: each is
+                chosen by the results of all but the last ``lag - 1``.
+            odd: the operational design domain that the sampler ``coverage`` covers, or None.
 
         Raises:
             UsageError: there is no such program.

@@ -246,7 +246,7 @@ def falsify(
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
             settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
-            specs=spec or (), out=out, processes=False, images=images, resume=resume,
+            specs=spec or (), out=out, images=images, resume=resume,
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
             controller=controller_of(context), latency=latency or (),
             world=world_word(world, renderer_of(camera)),
@@ -321,7 +321,7 @@ def estimate(
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=perception,
             settings=scene_settings(settings, airport, runway, apt_dat, aircraft, camera),
-            specs=spec or (), out=out, processes=False, images=images, resume=resume,
+            specs=spec or (), out=out, images=images, resume=resume,
             bounds=bound or (), rates=rate or (), controller=controller,
             latency=latency or (), world=world_word(world, renderer_of(camera)), engine=engine,
             audit=audit,

@@ -46,8 +46,7 @@ def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
     codes: dict[str, int] = {}
     for perception in PERCEPTIONS:
         options = make_options(
-            program=PROGRAM, runs=runs, seed=seed, perception=perception, settings=(), specs=(),
-            out=out / perception, processes=False,
+            program=PROGRAM, runs=runs, seed=seed, perception=perception, out=out / perception
         )
         rows = campaign_rows(options)
         codes[perception] = exit_code(rows)

@@ -40,8 +40,8 @@ def _falsify(
 
     with missing_packages_named(out if resume else None):
         campaign = make_options(
-            program=program, runs=runs, seed=seed, perception=perception, settings=(), specs=(),
-            out=out, processes=False, images=images, resume=resume, engine=engine, audit=audit,
+            program=program, runs=runs, seed=seed, perception=perception, out=out, images=images,
+            resume=resume, engine=engine, audit=audit,
         )
         search = make_search(
             campaign, sampler=sampler, sampler_options=sampler_option, workers=workers,
