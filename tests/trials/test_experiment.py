@@ -13,6 +13,7 @@ import falsify_samples as toy
 import pandas as pd
 import pytest
 
+from taxinet_ros.cli.run import campaign as campaign_command
 from taxinet_ros.cli.run import search as command
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
@@ -238,8 +239,8 @@ class Bench:
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     bench = Bench()
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
-    monkeypatch.setattr(command, 'run_search', bench.run_search)
-    monkeypatch.setattr(command, 'WorkerPool', lambda *arguments: contextlib.nullcontext())
+    monkeypatch.setattr(campaign_command, 'run_search', bench.run_search)
+    monkeypatch.setattr(campaign_command, 'WorkerPool', lambda *arguments: contextlib.nullcontext())
     monkeypatch.setattr(command, '_report', bench.report)
     return bench
 

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
@@ -48,6 +49,8 @@ from taxinet_ros.trials.worker_pool import WorkerPool
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
+    from taxinet_ros.trials.cluster.connection import Cluster
+    from taxinet_ros.trials.cluster.pool import ClusterPool
 
 
 def run_campaign(
@@ -149,7 +152,7 @@ def campaign_rows(
             if here:
                 _run_here(engine, here, foxglove)
             else:
-                _run_on_workers(engine)
+                run_on_workers(engine)
     rows = sorted(engine.rows, key=lambda row: row.index)
     console.print(campaign_summary(rows, options), soft_wrap=True)
     if as_json:
@@ -176,17 +179,27 @@ def _run_here(engine: Engine[ProgramOrder], graphs: _Graphs, foxglove: int | Non
                 running.clear()
 
 
-def _run_on_workers(engine: Engine[ProgramOrder]) -> None:
-    """Make the runs of an open campaign on worker processes."""
-    from taxinet_ros.nodes.graph.worker import campaign_worker_command
-
-    options = engine.options
-    command = campaign_worker_command(options, engine.book.facts)
-    with (
-        interrupts(engine.interrupt),
-        WorkerPool(command, options.workers, options.out / 'logs') as pool,
-    ):
+def run_on_workers(engine: Engine[Any], cluster: Cluster | None = None) -> None:
+    """Make the runs of an open campaign on its workers; Ctrl-C ends it in order."""
+    with interrupts(engine.interrupt), _pool(engine, cluster) as pool:
         run_search(engine, pool)
+
+
+def _pool(engine: Engine[Any], cluster: Cluster | None) -> WorkerPool | ClusterPool:
+    from taxinet_ros.nodes.graph.worker import campaign_worker_command  # ROS takes time to import
+
+    options, facts = engine.options, engine.book.facts
+    if cluster is None:
+        command = campaign_worker_command(options, facts)
+        return WorkerPool(command, options.workers, options.out / 'logs')
+    from taxinet_ros.trials.cluster.pool import ClusterPool
+    from taxinet_ros.trials.cluster.task import OUT
+
+    elsewhere = dataclasses.replace(options, out=Path(OUT))
+    return ClusterPool(
+        cluster, campaign_worker_command(elsewhere, facts), options.out,
+        fingerprint=facts['perception_sha256'], on_machine=engine.book.add_machine,
+    )
 
 
 def _view(port: int | None, graph: Graph) -> contextlib.AbstractContextManager[None]:

@@ -15,7 +15,8 @@ from taxinet_ros.analysis.search.rare import (
     unfinished_words,
     write_estimate,
 )
-from taxinet_ros.cli.run.search import open_search, run_on_workers, search_view
+from taxinet_ros.cli.run.campaign import run_on_workers
+from taxinet_ros.cli.run.search import open_search, search_view
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.nodes.running.domain import check_workers

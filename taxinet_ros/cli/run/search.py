@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import datetime
 import json
 import math
@@ -29,19 +28,17 @@ from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.cli.progress import print_rows_if_lost
+from taxinet_ros.cli.run.campaign import run_on_workers
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.files.sealed_table import write_table
-from taxinet_ros.nodes.graph.worker import campaign_worker_command
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
-from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.connection import Cluster
-from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.trials.cluster.task import OUT
-from taxinet_ros.trials.engine import Engine, run_search
+from taxinet_ros.trials.cluster.pool import campaign_cluster
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.experiment import (
     JSON_NAME,
     PAGE_NAME,
@@ -73,7 +70,6 @@ from taxinet_ros.trials.summary import (
     scene_words,
     summary_json,
 )
-from taxinet_ros.trials.worker_pool import WorkerPool
 
 _REFRESH_PER_S = 2.0
 
@@ -196,24 +192,6 @@ def _open_cluster(
         console.print(plain_line(line), soft_wrap=True, markup=False)
 
     return campaign_cluster(options, options.cluster, tell=tell)
-
-
-def run_on_workers(search: Engine[Any], cluster: Cluster | None = None) -> None:
-    """Execute the runs of an open campaign on its workers; Ctrl-C ends it in order."""
-    with interrupts(search.interrupt), _pool(search, cluster) as pool:
-        run_search(search, pool)
-
-
-def _pool(search: Engine[Any], cluster: Cluster | None) -> WorkerPool | ClusterPool:
-    options, facts = search.options, search.book.facts
-    if cluster is None:
-        command = campaign_worker_command(options, facts)
-        return WorkerPool(command, options.workers, options.out / 'logs')
-    elsewhere = dataclasses.replace(options, out=Path(OUT))
-    return ClusterPool(
-        cluster, campaign_worker_command(elsewhere, facts), options.out,
-        fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
-    )
 
 
 def run_experiment(
