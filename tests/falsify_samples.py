@@ -19,10 +19,10 @@ from taxinet_ros.samplers.space import Dimension, Point, Space
 from taxinet_ros.scenes.programs import find_program
 from taxinet_ros.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.scenes.source import Refused, Rejected, program_text
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions
 
 SPACE = SearchSpace(choices=tuple(
     Choice(dimension=Dimension(name=name), feeds=frozenset({name})) for name in ('x', 'y')
@@ -71,17 +71,19 @@ class ToySource:
         return Scenario(cross_track_m=10 * x - 5, distance_m=2000 * y, duration_s=1.0)
 
 
-def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -> SearchOptions:
+_OF_CAMPAIGN = ('seed', 'perception', 'overrides', 'workers', 'resume', 'cluster')
+
+
+def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -> Search:
     """A search of the toy program; ``ce`` learns early, so a wrong order of results shows."""
     campaign = {
         'program': 'nominal', 'runs': runs, 'seed': 3, 'perception': 'truth', 'out': out,
-        **{key: changes.pop(key) for key in ('seed', 'perception', 'overrides') if key in changes},
+        **{key: changes.pop(key) for key in _OF_CAMPAIGN if key in changes},
         **({'judging': Judging(specs=changes.pop('specs'))} if 'specs' in changes else {}),
     }
     own = {'every': '1'} if sampler == 'ce' else {}
-    return SearchOptions(**{
-        'campaign': CampaignOptions(**campaign), 'sampler': sampler, 'sampler_options': own,
-        **changes,
+    return Search(CampaignOptions(**campaign), **{
+        'sampler': sampler, 'sampler_options': own, **changes,
     })
 
 
@@ -111,14 +113,14 @@ def last(under_way: list[RunRequest]) -> RunRequest:
 
 
 def answers(
-    search: Search, workers: int, pick: Pick = first,
+    search: Engine[Search], workers: int, pick: Pick = first,
     judge: Callable[[RunRequest], RunResult] = result,
 ) -> Iterator[RunRequest]:
     """Drive a search as so many workers would, one answer at a time."""
     under_way: list[RunRequest] = []
     while True:
         while len(under_way) < workers and (request := search.next()) is not None:
-            (search.options.campaign.out / request.run_id).mkdir()
+            (search.options.out / request.run_id).mkdir()
             under_way.append(request)
         if not under_way:
             return
@@ -129,16 +131,16 @@ def answers(
 
 
 @contextlib.contextmanager
-def searching(chosen: SearchOptions) -> Iterator[Search]:
+def searching(chosen: Search) -> Iterator[Engine[Search]]:
     """A search on the toy program; ``Search`` has been given :class:`ToySource` already."""
-    with Search(chosen, ('perception',)) as search:
+    with Engine(chosen, ('perception',)) as search:
         yield search
 
 
 def finish(
-    chosen: SearchOptions, workers: int = 1, pick: Pick = first,
+    chosen: Search, workers: int = 1, pick: Pick = first,
     judge: Callable[[RunRequest], RunResult] = result,
-) -> Search:
+) -> Engine[Search]:
     """Run a search to its end."""
     with searching(chosen) as search:
         for _ in answers(search, workers, pick, judge):

@@ -23,7 +23,7 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.samplers.space import Dimension
-from taxinet_ros.trials.options import read_specs
+from taxinet_ros.trials.requirements import read_specs
 
 TRUTH = TrackingError(cte_m=1.0, he_rad=0.1)
 

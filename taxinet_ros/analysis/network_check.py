@@ -15,9 +15,9 @@ from typing import Any
 
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.trials.options import DEFAULT_JUDGING
 from taxinet_ros.trials.past_runs.shared_scenes import Scene, scenes_of_program
 from taxinet_ros.trials.past_runs.trials import Task, Trial, TrialSystem, run_trials
+from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 from taxinet_ros.trials.run_command import RunSettings
 
 PROGRAM, SEED, SCENES = 's_falsif', 50, 50

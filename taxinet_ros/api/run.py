@@ -88,7 +88,7 @@ from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import KMWH
-from taxinet_ros.trials.options import DEFAULT_SPECS, read_specs
+from taxinet_ros.trials.requirements import DEFAULT_SPECS, read_specs
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -38,13 +38,14 @@ from taxinet_ros.samplers.splitting import RareEstimate
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.connection import Cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
+from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.loop_run import campaign_loop
 from taxinet_ros.trials.loop_worker import loop_worker_command
-from taxinet_ros.trials.options import DEFAULT_SPECS, LOOP, make_options
+from taxinet_ros.trials.options import LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import make_estimate_options, make_search_options
-from taxinet_ros.trials.worker_pool import WorkerPool, run_search
+from taxinet_ros.trials.requirements import DEFAULT_SPECS
+from taxinet_ros.trials.search import Search, make_estimate, make_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 
 @takes(
@@ -110,18 +111,15 @@ def falsify(
     options = make_options(
         program=os.fspath(program), runs=runs, seed=seed, perception=perception,
         settings=_texts(settings), specs=spec_texts(specs),
-        out=None if out is None else Path(out), processes=False, images='none', resume=resume,
+        out=None if out is None else Path(out), images='none', resume=resume,
         stop_on=stop_on, controller=controller, bounds=text_list(bounds), rates=text_list(rates),
         latency=text_list(latency), world=world,
     )
-    search = Search(
-        make_search_options(
-            dataclasses.replace(options, bags=False, engine=LOOP), sampler=sampler,
-            sampler_options=_texts(sampler_options), workers=workers, resume=resume, until=until,
-            budget_min=None, lag=lag, cluster=cluster, odd=None if odd is None else os.fspath(odd),
-        ),
-        participants=(),
-    )
+    search = Engine(make_search(
+        dataclasses.replace(options, bags=False, engine=LOOP), sampler=sampler,
+        sampler_options=_texts(sampler_options), workers=workers, until=until, lag=lag,
+        cluster=cluster, odd=None if odd is None else os.fspath(odd),
+    ), participants=())
     with _opened(search) as led:
         _execute(search, led)
         write_learned(search)
@@ -176,17 +174,14 @@ def estimate(
     options = make_options(
         program=os.fspath(program), runs=runs, seed=seed, perception=perception,
         settings=_texts(settings), specs=spec_texts(specs),
-        out=None if out is None else Path(out), processes=False, images='none', resume=resume,
+        out=None if out is None else Path(out), images='none', resume=resume,
         controller=controller, bounds=text_list(bounds), rates=text_list(rates),
         latency=text_list(latency), world=world,
     )
-    search = Search(
-        make_estimate_options(
-            dataclasses.replace(options, bags=False, engine=LOOP),
-            floor=down_to, islands=islands, workers=workers, resume=resume,
-        ),
-        participants=(),
-    )
+    search = Engine(make_estimate(
+        dataclasses.replace(options, bags=False, engine=LOOP),
+        floor=down_to, islands=islands, workers=workers,
+    ), participants=())
     with _opened(search) as led:
         _execute(search, led)
         if words := unfinished_words(search):
@@ -198,26 +193,25 @@ def estimate(
 
 
 @contextlib.contextmanager
-def _opened(search: Search) -> Iterator[Cluster | None]:
+def _opened(search: Engine[Search]) -> Iterator[Cluster | None]:
     """Context of an open search and of its cluster, if it has one."""
     with contextlib.ExitStack() as opened:
         led = None
         if where := search.options.cluster:
             led = opened.enter_context(campaign_cluster(
-                search.options.campaign, where, tell=lambda line: warnings.warn(line, stacklevel=2)
+                search.options, where, tell=lambda line: warnings.warn(line, stacklevel=2)
             ))
         opened.enter_context(search)
-        for line in (*filter(None, [search.book.warning]), *search.check.warnings):
+        for line in (*filter(None, [search.book.warning]), *search.proposer.check.warnings):
             warnings.warn(python_words(line), stacklevel=CALLER + 2)
         yield led
 
 
-def _execute(search: Search, led: Cluster | None) -> None:
+def _execute(search: Engine[Search], led: Cluster | None) -> None:
     """Execute the runs of an open search on its workers."""
     options, facts = search.options, search.book.facts
-    system = recorded_system(options.campaign, facts)
-    command = loop_worker_command(campaign_loop(options.campaign, system))
-    out = options.campaign.out
+    command = loop_worker_command(campaign_loop(options, recorded_system(options, facts)))
+    out = options.out
     pool = WorkerPool(command, options.workers, out / 'logs') if led is None else ClusterPool(
         led, command, out, fingerprint=facts['perception_sha256'],
         on_machine=search.book.add_machine,

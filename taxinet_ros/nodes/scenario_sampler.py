@@ -17,6 +17,7 @@ from typing import Any
 from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.analysis.search.learned import write_learned
+from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import ExitCode, InfraKind, UsageError
@@ -34,11 +35,13 @@ from taxinet_ros.nodes.running.parameters import (
 )
 from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.samplers.registry import SAMPLERS
-from taxinet_ros.trials.campaign import Campaign, exit_code
-from taxinet_ros.trials.options import DEFAULT_SPECS, CampaignOptions, make_options
+from taxinet_ros.trials.campaign import ProgramOrder, exit_code
+from taxinet_ros.trials.engine import Engine
+from taxinet_ros.trials.options import CampaignOptions, make_options
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import Search, search_heading, search_summary, space_lines
-from taxinet_ros.trials.search_options import SearchOptions, make_search_options
+from taxinet_ros.trials.requirements import DEFAULT_SPECS
+from taxinet_ros.trials.search import Search, make_search
+from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.summary import (
     campaign_heading,
     campaign_summary,
@@ -132,7 +135,7 @@ class StandaloneSampler(ScenarioSampler):
     Attributes:
         participants: nodes of the lockstep, without the simulator.
         campaign: campaign options.
-        search: search options; None if the program draws the scenes.
+        search: the search; None if the program draws the scenes.
         bags: folder in which the recorder writes, as it says; '' if none did.
     """
 
@@ -169,9 +172,8 @@ class StandaloneSampler(ScenarioSampler):
                     f'--set steering.{next(iter(self.campaign.gains))}: the controller is already '
                     'running; set gains as its parameters'
                 )
-            self.search: SearchOptions | None = make_search_options(
-                self.campaign, sampler=None if sampler == _PROGRAMS else sampler, workers=1,
-                resume=how['resume'],
+            self.search: Search | None = make_search(
+                self.campaign, sampler=None if sampler == _PROGRAMS else sampler,
                 sampler_options=how['sampler_options'], until=how['until'] or None,
                 budget_min=how['budget'] or None,
             ) if sampler else None
@@ -239,66 +241,63 @@ def _work(node: StandaloneSampler, executor: Any) -> int:
 
 def _campaign(node: StandaloneSampler, executor: Any) -> int:
     """Run scenes drawn by the program, as ``taxinet run``."""
-    campaign = Campaign(node.campaign, node.participants, _shown(node))
-    with interrupts(node.interrupt), campaign:
-        checked = [line.plain for line in requirement_lines(campaign.check)]
-        _say(node, [campaign_heading(node.campaign), *campaign.notes, *checked])
-
-        def take(request: RunRequest, result: RunResult) -> bool:
-            campaign.take(request, result)
-            return campaign.unfinished
-
-        answers = _Answers(node, take)
-        _drive(node, executor, campaign.requests(), answers)
-    if campaign.rows:
-        _say(node, campaign_summary(campaign.rows, node.campaign).splitlines())
+    scenes = ProgramOrder(node.campaign)
+    engine = Engine(scenes, node.participants, _shown(node))
+    with _interruptible(node, engine), engine:
+        _say(node, [
+            campaign_heading(node.campaign), *scenes.notes, *_plain_requirements(scenes.check),
+        ])
+        answers = _drive(node, executor, engine)
+    rows = engine.rows
+    if rows:
+        _say(node, campaign_summary(rows, node.campaign).splitlines())
     if answers.trouble:
         return complain(answers.trouble, ExitCode.INFRA)
-    if node.interrupted and len(campaign.rows) < node.campaign.runs:
+    if node.interrupted and len(rows) < node.campaign.runs:
         return ExitCode.INTERRUPTED
-    return exit_code(campaign.rows)
+    return exit_code(rows)
 
 
-def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> int:
+def _search(node: StandaloneSampler, executor: Any, search: Search) -> int:
     """Run scenes chosen by a sampler, as ``taxinet falsify``."""
-    search = Search(options, node.participants, _shown(node))
-
-    def interrupt() -> None:
-        search.interrupt()
-        node.interrupt()
-
-    def take(request: RunRequest, result: RunResult) -> bool:
-        search.take(request, result)
-        return True
-
-    resuming = f'-p resume:=true -p out:={options.campaign.out}'
-    with interrupts(interrupt), search:
-        heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
-        warning = [search.book.warning] if search.book.warning else []
-        _say(
-            node,
-            [*warning, *heading_lines, *(line.plain for line in requirement_lines(search.check))],
-        )
-        answers = _Answers(node, take)
-        _drive(node, executor, iter(search.next, None), answers)
-        learned = write_learned(search)
-    if search.rows or search.interrupted:
-        _say(node, [*search_summary(search, resuming), *learned])
+    engine = Engine(search, node.participants, _shown(node))
+    resuming = f'-p resume:=true -p out:={engine.options.out}'
+    with _interruptible(node, engine), engine:
+        warning = [engine.book.warning] if engine.book.warning else []
+        _say(node, [*warning, *heading_lines(search), *_plain_requirements(search.check)])
+        answers = _drive(node, executor, engine)
+        learned = write_learned(engine)
+    if engine.rows or engine.interrupted:
+        _say(node, [*search_summary(engine, resuming), *learned])
     if answers.trouble:
         return complain(f'{answers.trouble}; continue with {resuming}', ExitCode.INFRA)
-    if search.interrupted and len(search.rows) < options.campaign.runs:
+    if engine.interrupted and len(engine.rows) < engine.options.runs:
         return ExitCode.INTERRUPTED
-    return exit_code(search.rows)
+    return exit_code(engine.rows)
 
 
-def _drive(
-    node: StandaloneSampler, executor: Any, requests: Iterator[RunRequest], answers: _Answers
-) -> None:
-    """Run the requests on the graph one by one."""
+def _plain_requirements(check: SpecCheck) -> list[str]:
+    return [line.plain for line in requirement_lines(check)]
+
+
+def _interruptible(
+    node: StandaloneSampler, engine: Engine[Any]
+) -> contextlib.AbstractContextManager[Any]:
+    def interrupt() -> None:
+        engine.interrupt()
+        node.interrupt()
+
+    return interrupts(interrupt)
+
+
+def _drive(node: StandaloneSampler, executor: Any, engine: Engine[Any]) -> _Answers:
+    """Make the runs on the graph one by one."""
+    answers = _Answers(node, engine)
     if node.rivals():
         answers.trouble = _RIVAL
-        return
-    spin_until(executor, node.start(executor, requests, answers))
+    else:
+        spin_until(executor, node.start(executor, iter(engine.next, None), answers))
+    return answers
 
 
 class _Answers:
@@ -308,12 +307,10 @@ class _Answers:
         trouble: one line on why the graph is unusable, or ''.
     """
 
-    def __init__(
-        self, node: StandaloneSampler, take: Callable[[RunRequest, RunResult], bool]
-    ) -> None:
+    def __init__(self, node: StandaloneSampler, engine: Engine[Any]) -> None:
         self.trouble = ''
         self._node = node
-        self._take = take
+        self._engine = engine
         self._broken: set[int] = set()
 
     def __call__(self, request: RunRequest, result: RunResult) -> bool:
@@ -327,7 +324,8 @@ class _Answers:
                 return False
             self._broken.add(request.index)
         recorded = interface.RECORDER in request.participants
-        return self._take(request, replace(result, bags=self._node.bags if recorded else ''))
+        self._engine.take(request, replace(result, bags=self._node.bags if recorded else ''))
+        return True
 
 
 def _trouble(result: RunResult, node: StandaloneSampler) -> str:

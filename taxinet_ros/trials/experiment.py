@@ -39,23 +39,16 @@ from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 from taxinet_ros.samplers.registry import check_sampler
-from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.scenes.overrides import check_overrides
 from taxinet_ros.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.scenes.programs import find_program, shipped_folder
-from taxinet_ros.trials.options import (
-    DEFAULT_SPECS,
-    GRAPH,
-    CampaignOptions,
-    check_engine,
-    check_new,
-    read_specs,
-    with_offsets,
-)
+from taxinet_ros.trials.engine import with_workers
+from taxinet_ros.trials.options import GRAPH, CampaignOptions, check_engine, check_new, with_offsets
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search_options import SearchOptions, check_workers_or_cluster
+from taxinet_ros.trials.requirements import DEFAULT_SPECS, read_specs
+from taxinet_ros.trials.search import Search
 
 SUFFIX = '.yaml'
 FOLDER = 'experiments'
@@ -317,7 +310,7 @@ def with_network(experiment: Experiment, perception: str) -> Experiment:
 def arm_searches(
     experiment: Experiment, out: Path, *, workers: int, resume: bool, engine: str = GRAPH,
     audit: str | None = None, cluster: str | None = None,
-) -> dict[str, SearchOptions]:
+) -> dict[str, Search]:
     """One search per arm, in its own folder, by name of the arm.
 
     Args:
@@ -333,20 +326,19 @@ def arm_searches(
         UsageError: the folder, the number of workers, the cluster or the engine cannot be used.
     """
     campaigns = {
-        arm.name: _campaign(experiment, arm, out, engine, audit) for arm in experiment.arms
+        arm.name: with_workers(_campaign(experiment, arm, out, engine, audit), workers, cluster)
+        for arm in experiment.arms
     }
-    where = ''
-    for campaign in campaigns.values():
-        where = check_workers_or_cluster(workers, LAG, cluster, campaign)
     if not resume:
         check_new(out)
     elif not _may_be_begun(experiment, out):
         raise UsageError(f'--resume: {out}: holds no arm of {experiment.name}; leave --resume out')
     return {
-        arm.name: SearchOptions(
-            campaign=campaigns[arm.name], sampler=experiment.sampler, cluster=where,
-            sampler_options=experiment.sampler_options, workers=workers,
-            resume=resume and is_campaign(out / arm.name),
+        arm.name: Search(
+            dataclasses.replace(
+                campaigns[arm.name], resume=resume and is_campaign(out / arm.name)
+            ),
+            sampler=experiment.sampler, sampler_options=experiment.sampler_options,
         )
         for arm in experiment.arms
     }
@@ -395,11 +387,11 @@ def check_paired(
 def _campaign(
     experiment: Experiment, arm: Arm, out: Path, engine: str, audit: str | None
 ) -> CampaignOptions:
-    return CampaignOptions(
+    campaign = CampaignOptions(
         program=experiment.program, runs=experiment.runs, seed=experiment.seed,
         perception=arm.perception, out=out / arm.name, overrides=experiment.overrides,
         controller=arm.controller, laid_over=arm.laid_over, gains=arm.gains,
         judging=Judging(specs=experiment.specs), images='none',
         arms=tuple(one.name for one in experiment.arms), engine=engine,
-        audit_percent=check_engine(engine, audit, arm.perception, arm.controller, arm.gains),
     )
+    return dataclasses.replace(campaign, audit_percent=check_engine(engine, audit, campaign))

@@ -21,8 +21,9 @@ from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.world import find_world, world_options
 from taxinet_ros.registry import KMWH
-from taxinet_ros.trials.options import DEFAULT_JUDGING, CampaignOptions
+from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import recorded_world
+from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

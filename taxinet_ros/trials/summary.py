@@ -40,16 +40,23 @@ _STYLES = {
 }
 
 
-def campaign_heading(options: CampaignOptions, workers: int = 1) -> str:
-    """Heading that describes the campaign, on so many workers."""
+def campaign_heading(options: CampaignOptions) -> str:
+    """Heading that describes the campaign."""
     runs = 'run' if options.runs == 1 else 'runs'
     layout = 'separate processes' if options.processes else 'one process'
-    layout = layout if workers == 1 else f'{workers} workers'
+    layout = layout if options.workers == 1 else workers_words(options)
     graph = f'{participants_words(options)}, {layout}'
     return (
         f'{options.runs} {runs} of {options.program}, seed {options.seed}, '
         f'{ON_STANDING_GRAPH if options.standing_graph else graph} -> {options.out}'
     )
+
+
+def workers_words(options: CampaignOptions) -> str:
+    """What makes the runs: workers here, or a cluster."""
+    if options.cluster:
+        return f'cluster {options.cluster}'
+    return '1 worker' if options.workers == 1 else f'{options.workers} workers'
 
 
 def participants_words(options: CampaignOptions) -> str:

@@ -6,11 +6,11 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.trials.campaign import exit_code
+from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.facts import recorded_system
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import make_search_options
-from taxinet_ros.trials.worker_pool import WorkerPool, run_search
+from taxinet_ros.trials.search import make_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 SETTINGS = {'duration': 4, 'cross_track': 3}
 PER_MACHINE = ['bag', 'wall_s', 'real_time_factor']
@@ -35,11 +35,8 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
         settings=[f'{name}={value}' for name, value in SETTINGS.items()], processes=False,
         images='none',
     )
-    options = make_search_options(
-        campaign, sampler='random', sampler_options=(), workers=1, resume=False, until=None,
-        budget_min=None,
-    )
-    with Search(options, PARTICIPANTS) as graphs:
+    options = make_search(campaign, sampler='random')
+    with Engine(options, PARTICIPANTS) as graphs:
         command = worker_command(campaign_graph(
             campaign, recorded_system(campaign, graphs.book.facts)
         ))

@@ -29,11 +29,11 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.files.sealed_json import sealed_text
+from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.scenes.programs import find_program, shipped_folder
 from taxinet_ros.scenes.source import program_text
 from taxinet_ros.trials.experiment import known_experiments, read_experiment
 from taxinet_ros.trials.learned_result import LEARNED_NAME, LearnedResult
-from taxinet_ros.trials.options import read_specs
 from taxinet_ros.trials.record.book import finished_row, run_request
 from taxinet_ros.trials.record.content import (
     BEGUN,
@@ -43,8 +43,13 @@ from taxinet_ros.trials.record.content import (
     run_key,
 )
 from taxinet_ros.trials.record.facts import FACTS, campaign_facts
-from taxinet_ros.trials.record.resumption import earlier_runs
+from taxinet_ros.trials.record.resumption import (
+    check_same_campaign,
+    runs_to_repeat,
+    unknown_to_sampler,
+)
 from taxinet_ros.trials.record.table import table
+from taxinet_ros.trials.requirements import read_specs
 
 Use = Callable[[bytes], object]
 
@@ -140,7 +145,9 @@ def _resume(folder: Path) -> Use:
                 for key, value in entries.items()
             ])
         content = read_campaign(folder)
-        return table(earlier_runs(folder, content, facts).rows.values(), ['phi_eventually'])
+        check_same_campaign(folder, content, facts)
+        runs_to_repeat(content.rows, unknown_to_sampler(content, LAG), LAG)
+        return table(content.rows, ['phi_eventually'])
     return use
 
 

@@ -30,7 +30,7 @@ from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.trials.search_options import SearchOptions, make_search_options
+from taxinet_ros.trials.search import Search, make_search
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
@@ -85,10 +85,7 @@ def composed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         program='nominal', runs=RUNS, seed=4, perception='truth', settings=['duration=1'],
         specs=[SPEC], out=out, processes=False, images='none',
     )
-    options = make_search_options(
-        campaign, sampler='ce', sampler_options=['every=1'], workers=1, resume=False, until=None,
-        budget_min=None,
-    )
+    options = make_search(campaign, sampler='ce', sampler_options=['every=1'])
     assert run_falsify(options, quiet=True) == 1
     return out
 
@@ -246,7 +243,7 @@ BAD = {
 }
 
 
-def built(given: dict[str, object], *words: str) -> SearchOptions | None:
+def built(given: dict[str, object], *words: str) -> Search | None:
     """Build the node in this process, also with words of its command line; what it is to search."""
     with on_own_domain() as spinning:
         overrides = [Parameter(name, value=value) for name, value in given.items()]

@@ -27,9 +27,9 @@ from taxinet_ros.scenes.source import (
     sample_scenarios,
 )
 from taxinet_ros.trials.options import make_options
-from taxinet_ros.trials.record.book import check_same_campaign
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import campaign_facts
+from taxinet_ros.trials.record.resumption import check_same_campaign
 
 BYTE_ORDER_MARK = '\ufeff'
 _WORLD = f'{MODEL}.scenic'

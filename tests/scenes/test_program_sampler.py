@@ -13,7 +13,8 @@ from taxinet_ros.samplers.registry import SAMPLERS
 from taxinet_ros.scenes.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.scenes.source import SceneSource
 from taxinet_ros.trials import search as search_module
-from taxinet_ros.trials.search_options import DEFAULT_SAMPLER
+from taxinet_ros.trials.engine import Engine
+from taxinet_ros.trials.search import DEFAULT_SAMPLER
 
 PLACES = {'verifaiSamplerType': 'mine.scenic:3', 'verifaiSamplerParams': 'mine.scenic:4'}
 CE = 'param verifaiSamplerType = "ce"\n'
@@ -84,7 +85,7 @@ def test_s4_what_cannot_be_had_is_refused_with_its_line(
 
 def chosen(
     out: Path, monkeypatch: pytest.MonkeyPatch, asked: ProgramSampler | None, **options: Any
-) -> search_module.Search:
+) -> Engine[search_module.Search]:
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
     monkeypatch.setattr(toy.ToySource, 'sampler', asked)
     return toy.finish(toy.options(out, runs=3, **options))
@@ -109,7 +110,7 @@ def test_s4_a_search_uses_the_sampler_of_the_command_else_of_the_program_else_th
     assert search.book.facts['sampler'] == word
     assert search.book.facts['sampler_options'] == kept
     assert {row.sampler for row in search.rows} == {word}
-    assert search.notes == notes
+    assert search.proposer.notes == notes
 
 
 def test_s4_an_option_that_the_programs_sampler_lacks_is_refused_before_anything_is_written(

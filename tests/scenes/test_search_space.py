@@ -19,7 +19,7 @@ from taxinet_ros.samplers.space import Branch, Dimension, Point
 from taxinet_ros.scenes.programs import known_programs, shipped_folder
 from taxinet_ros.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.scenes.source import Refused, SceneSource
-from taxinet_ros.trials.search import space_lines
+from taxinet_ros.trials.search_summary import space_lines
 
 WORLD = 'model runway_world\n'
 PLANE = WORLD + 'ego = new Plane at (0, 400)\n'

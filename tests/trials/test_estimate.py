@@ -23,8 +23,7 @@ from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.rates import share_bounds
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions, make_estimate_options
+from taxinet_ros.trials.search import Search, make_estimate
 
 pytestmark = pytest.mark.nightly
 
@@ -38,7 +37,7 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def options(
     out: Path, *, resume: bool = False, runs: int = RUNS
-) -> SearchOptions:
+) -> Search:
     return toy.options(
         out, runs=runs, sampler='splitting', resume=resume, sampler_options={
             'draws': '150', 'particles': '20', 'islands': '4', 'floor': '0.001',
@@ -57,7 +56,7 @@ def rarely(request: RunRequest) -> RunResult:
 
 
 def estimated(
-    chosen: SearchOptions, workers: int = 1, pick: toy.Pick = toy.first,
+    chosen: Search, workers: int = 1, pick: toy.Pick = toy.first,
     killed: dict[int, Path] | None = None, *, written: bool = False,
 ) -> str:
     """Text of an estimate; what is on disk after so many answers is copied (``killed``)."""
@@ -183,9 +182,11 @@ def test_given_an_ended_estimate_when_resumed_with_more_runs_then_more_islands_f
     assert ' islands=8,' in estimated(options(out, resume=True, runs=700))
     assert read_table(out)['rho'][:len(before)].equals(before)
     assert len(read_table(out)) > len(before)
-    more = make_estimate_options(
-        CampaignOptions(program='s_falsif', runs=900, seed=0, perception='truth', out=out),
-        floor=0.01, islands=4, workers=1, resume=True,
+    more = make_estimate(
+        CampaignOptions(
+            program='s_falsif', runs=900, seed=0, perception='truth', out=out, resume=True
+        ),
+        floor=0.01, islands=4,
     )
     assert more.sampler_options['draws'] == str(RUNS // 2)
 
@@ -197,7 +198,7 @@ def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rest
     )
     judging = SimpleNamespace(headline='near')
     search = SimpleNamespace(
-        rows=[], options=SimpleNamespace(campaign=SimpleNamespace(judging=judging))
+        rows=[], options=SimpleNamespace(judging=judging)
     )
     assert estimate_lines(found, search) == [
         'P(near violated) within [2.5e-05, 0.22 %] (95 %); UNCLEAR: more than 10 times as high as '
@@ -227,6 +228,6 @@ def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
         program='nominal', runs=900, seed=0, perception='truth', out=tmp_path / 'c'
     )
     with pytest.raises(UsageError, match=words):
-        make_estimate_options(campaign, **{
-            'floor': 1e-6, 'islands': 8, 'workers': 1, 'resume': False, **asked,
+        make_estimate(campaign, **{
+            'floor': 1e-6, 'islands': 8, **asked,
         })

@@ -13,6 +13,7 @@ import falsify_samples as toy
 import pandas as pd
 import pytest
 
+from taxinet_ros.cli.run import campaign as campaign_command
 from taxinet_ros.cli.run import search as command
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
@@ -21,6 +22,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import find_program
 from taxinet_ros.scenes.source import SceneSource, program_text
 from taxinet_ros.trials import search as search_module
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.experiment import (
     Arm,
     Experiment,
@@ -218,8 +220,8 @@ class Bench:
         self.done: list[tuple[str, int]] = []
         self.reports = 0
 
-    def run_search(self, search: search_module.Search, crew: object) -> None:
-        arm = search.options.campaign.out.name
+    def run_search(self, search: Engine[search_module.Search], crew: object) -> None:
+        arm = search.options.out.name
 
         def judge(request: RunRequest) -> RunResult:
             self.done.append((arm, request.index))
@@ -237,8 +239,8 @@ class Bench:
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     bench = Bench()
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
-    monkeypatch.setattr(command, 'run_search', bench.run_search)
-    monkeypatch.setattr(command, 'WorkerPool', lambda *arguments: contextlib.nullcontext())
+    monkeypatch.setattr(campaign_command, 'run_search', bench.run_search)
+    monkeypatch.setattr(campaign_command, 'WorkerPool', lambda *arguments: contextlib.nullcontext())
     monkeypatch.setattr(command, '_report', bench.report)
     return bench
 

@@ -119,7 +119,7 @@ def test_a_sampler_that_ignores_the_feedback_is_named(
     monkeypatch.setattr(Choosy, 'feedback', 1.0)
     for name, heard in (('halton', False), ('ce', True)):
         with toy.searching(toy.options(tmp_path / name, sampler=name)) as search:
-            assert search.notes == (() if heard else (
+            assert search.proposer.notes == (() if heard else (
                 'externalSamplerRejectionFeedback has no effect on halton, which does not learn '
                 'from refused points',
             ))

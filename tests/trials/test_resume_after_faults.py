@@ -18,11 +18,13 @@ from taxinet_ros.files.record import record_trouble
 from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.campaign import exit_code
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.trials.search import PATIENCE, search_summary
+from taxinet_ros.trials.search import PATIENCE
+from taxinet_ros.trials.search_summary import search_summary
 
 
 @pytest.fixture(autouse=True)
@@ -264,7 +266,7 @@ def folder_deleted(out: Path) -> None:
 def test_f9_given_a_record_that_is_taken_away_then_the_next_row_ends_the_campaign(act, tmp_path):
     out, told = tmp_path / 'c', []
     chosen = toy.options(out, sampler='halton')
-    search = search_module.Search(chosen, ('perception',), told.append)
+    search = Engine(chosen, ('perception',), told.append)
 
     def disturbed() -> None:
         with search:

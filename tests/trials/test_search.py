@@ -18,17 +18,14 @@ from taxinet_ros.samplers.space import Dimension
 from taxinet_ros.scenes import source as scene_source
 from taxinet_ros.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.trials import search as search_module
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import Search, search_summary
-from taxinet_ros.trials.search_options import (
-    SearchOptions,
-    StopRule,
-    make_search_options,
-    parse_stop_rule,
-)
+from taxinet_ros.trials.search import Search, make_search
+from taxinet_ros.trials.search_summary import search_summary
+from taxinet_ros.trials.stop import StopRule, parse_stop_rule
 
 
 @pytest.fixture(autouse=True)
@@ -161,9 +158,8 @@ def test_given_a_finished_search_when_resumed_with_more_runs_then_only_those_are
 ):
     toy.finish(toy.options(tmp_path / 'longer', runs=25))
     new = []
-    with search_module.Search(
-        toy.options(copy, runs=25, resume=True), ('perception',), new.append
-    ) as search:
+    chosen = toy.options(copy, runs=25, resume=True)
+    with Engine(chosen, ('perception',), new.append) as search:
         for _ in toy.answers(search, 1):
             pass
     assert [row.index for row in new] == [20, 21, 22, 23, 24]
@@ -251,7 +247,7 @@ def test_given_a_search_resumed_with_another_rule_then_the_record_names_both(tmp
     assert read_facts(tmp_path / 'c')['until'] == ['failures=1', 'min-satisfaction=0.2']
 
 
-def summary(done: Search) -> str:
+def summary(done: Engine[Search]) -> str:
     return '\n'.join(search_summary(done))
 
 
@@ -392,7 +388,7 @@ def test_given_a_rule_that_is_none_then_it_is_refused(text):
         parse_stop_rule(text)
 
 
-def ask(folder: Path, **changes) -> SearchOptions:
+def ask(folder: Path, **changes) -> Search:
     names = ('out', 'images', 'resume', 'stop_on')
     campaign = {
         'program': 'nominal', 'runs': 5, 'seed': 1, 'perception': 'truth', 'settings': (),
@@ -400,11 +396,9 @@ def ask(folder: Path, **changes) -> SearchOptions:
         **{name: changes[name] for name in names if name in changes},
     }
     own = {
-        'sampler': 'ce', 'sampler_options': (), 'workers': 1, 'resume': False, 'until': None,
-        'budget_min': None,
-        **{name: value for name, value in changes.items() if name not in names[:2] + names[3:]},
+        'sampler': 'ce', **{name: value for name, value in changes.items() if name not in names},
     }
-    return make_search_options(make_options(**campaign), **own)
+    return make_search(make_options(**campaign), **own)
 
 
 def test_given_the_runway_and_runs_that_stop_early_then_the_rule_is_refused(tmp_path):
@@ -418,7 +412,7 @@ def test_given_wishes_then_they_are_in_the_options(tmp_path):
         budget_min=2.5, images='none',
     )
     assert asked.sampler_options == {'floor': '0.2', 'every': '5'}
-    assert asked.workers == 8
+    assert asked.campaign.workers == 8
     assert asked.stop == StopRule(kind='half-width', value=0.02)
     assert asked.budget_s == 150
     assert asked.campaign.images == 'none'

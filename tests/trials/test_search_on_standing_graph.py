@@ -11,6 +11,7 @@ import pytest
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials import search as search_module
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
@@ -33,7 +34,7 @@ def answered(word: str, fingerprint: str = ''):
     return judge
 
 
-def begin(search: Search) -> RunRequest:
+def begin(search: Engine[Search]) -> RunRequest:
     request = search.next()
     assert request is not None
     return request
@@ -54,7 +55,7 @@ def test_given_a_standing_graph_then_the_runs_are_those_of_any_other_and_their_p
 
 
 def test_given_answers_then_what_was_asked_names_the_perception_from_the_first_one_on(tmp_path):
-    with Search(standing(tmp_path / 'c'), ('perception',)) as search:
+    with Engine(standing(tmp_path / 'c'), ('perception',)) as search:
         assert search.perception == ''
         assert read_facts(tmp_path / 'c')['perception'] == ''
         request = begin(search)
@@ -78,7 +79,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
     before, after, words, resumed, tmp_path
 ):
     out = tmp_path / 'c'
-    with Search(standing(out), ('perception',)) as search:
+    with Engine(standing(out), ('perception',)) as search:
         first = begin(search)
         search.take(first, answered(*before)(first))
         if not resumed:
@@ -86,7 +87,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
             with pytest.raises(UsageError) as caught:
                 search.take(second, answered(*after)(second))
     if resumed:
-        with Search(standing(out, resume=True), ('perception',)) as search:
+        with Engine(standing(out, resume=True), ('perception',)) as search:
             second = begin(search)
             with pytest.raises(UsageError) as caught:
                 search.take(second, answered(*after)(second))
@@ -95,7 +96,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
     assert (first.index, second.index) == (0, 1)
     assert list(read_table(out)['index']) == [0]
     assert read_facts(out)['perception'] == before[0]
-    with Search(standing(out, resume=True), ('perception',)) as search:
+    with Engine(standing(out, resume=True), ('perception',)) as search:
         third = begin(search)
         assert third.run_id == f'{second.run_id}.2'
         search.take(third, answered(*before)(third))
@@ -103,7 +104,7 @@ def test_given_an_answer_of_another_perception_then_it_is_refused_and_not_kept(
 
 
 def test_given_the_same_network_by_another_name_then_it_is_the_same(tmp_path):
-    with Search(standing(tmp_path / 'c'), ('perception',)) as search:
+    with Engine(standing(tmp_path / 'c'), ('perception',)) as search:
         for word in ('original', 'weights'):
             request = begin(search)
             search.take(request, answered(word, 'abc')(request))
@@ -113,12 +114,12 @@ def test_given_the_same_network_by_another_name_then_it_is_the_same(tmp_path):
 def test_given_broken_and_interrupted_runs_then_every_attempt_has_a_name_of_its_own(tmp_path):
     out = tmp_path / 'c'
     names = []
-    with Search(standing(out), ('perception',)) as search:
+    with Engine(standing(out), ('perception',)) as search:
         for outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED):
             request = begin(search)
             names.append(request.run_id)
             search.take(request, toy.result(request, outcome))
-    with Search(standing(out, resume=True), ('perception',)) as search:
+    with Engine(standing(out, resume=True), ('perception',)) as search:
         request = begin(search)
         names.append(request.run_id)
         search.take(request, answered('truth')(request))

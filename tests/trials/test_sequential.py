@@ -17,7 +17,6 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.sample_size import plan_with_power
-from taxinet_ros.trials.search_options import parse_stop_rule
 from taxinet_ros.trials.sequential import (
     Course,
     Decision,
@@ -28,6 +27,7 @@ from taxinet_ros.trials.sequential import (
     parse_test,
     simulate,
 )
+from taxinet_ros.trials.stop import parse_stop_rule
 
 TESTS = {
     'spread bets at 86 %': 'min-satisfaction=0.86',

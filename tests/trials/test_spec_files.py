@@ -9,7 +9,8 @@ import pytest
 
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.options import make_options, read_specs
+from taxinet_ros.trials.options import make_options
+from taxinet_ros.trials.requirements import read_specs
 
 FILE = """\
 predicates:

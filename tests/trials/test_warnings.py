@@ -56,8 +56,8 @@ def test_people2_given_a_requirement_that_no_run_can_violate_then_it_is_told_and
 ) -> None:
     chosen = toy.options(tmp_path / 'a', runs=4, specs=('phi_eventually', VACUOUS))
     with toy.searching(chosen) as search:
-        lines = [line.plain for line in requirement_lines(search.check)]
-        quiet = [line.plain for line in requirement_lines(search.check, quiet=True)]
+        lines = [line.plain for line in requirement_lines(search.proposer.check)]
+        quiet = [line.plain for line in requirement_lines(search.proposer.check, quiet=True)]
         facts = read_facts(tmp_path / 'a')
     assert lines[0].startswith('phi_eventually: at some time from 0 s to 10 s: always from then on')
     assert lines[1].startswith('gentle: always over the run: |steering| <= 0.3 rad (17.19 deg)')

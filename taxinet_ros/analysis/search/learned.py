@@ -14,6 +14,7 @@ from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.samplers.sampler import Probabilities
 from taxinet_ros.scenes.overrides import overrides_statement
 from taxinet_ros.scenes.programs import find_program, write_program
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.learned_program import learned_program
 from taxinet_ros.trials.learned_result import LEARNED_NAME, Evidence, LearnedResult
 from taxinet_ros.trials.search import Search
@@ -21,7 +22,7 @@ from taxinet_ros.trials.search import Search
 PROGRAM_NAME, PICTURE_NAME = 'learned.scenic', 'learned.png'
 
 
-def write_learned(search: Search) -> list[str]:
+def write_learned(search: Engine[Search]) -> list[str]:
     """Write ``learned.json``, ``learned.png`` and, if Scenic can express it, a program.
 
     Args:
@@ -30,23 +31,24 @@ def write_learned(search: Search) -> list[str]:
     Returns:
         Lines to print: the files written, or why there are none; empty if the sampler never learns.
     """
-    probabilities = search.learned()
+    probabilities = search.proposer.learned()
     if not probabilities:
         return []
     if why := _nothing_learned(search, probabilities):
         return [f'nothing learned: {why}']
     from taxinet_ros.analysis.search.learned_picture import learned_picture
 
-    out = search.options.campaign.out
+    out = search.options.out
     write_atomically(out / LEARNED_NAME, _result(search, probabilities).to_json())
-    learned_picture(search.space.searched, probabilities, out / PICTURE_NAME, _title(search))
+    space = search.proposer.space
+    learned_picture(space.searched, probabilities, out / PICTURE_NAME, _title(search))
     names, notes = [LEARNED_NAME, PICTURE_NAME], []
     try:
         text, left = learned_program(
-            find_program(search.options.campaign.program), search.space, probabilities,
+            find_program(search.options.program), space, probabilities,
             _title(search) + '.',
         )
-        given = {**search.options.campaign.overrides, **search.options.campaign.laid_over}
+        given = {**search.options.overrides, **search.options.laid_over}
         write_program(
             out / PROGRAM_NAME, '\n'.join([text, overrides_statement(given)]).rstrip() + '\n',
             str(search.book.facts['program_text']),
@@ -58,22 +60,23 @@ def write_learned(search: Search) -> list[str]:
     return [f'learned: {out / names[0]}, {", ".join(names[1:])}', *_evidence_words(search), *notes]
 
 
-def _nothing_learned(search: Search, probabilities: Probabilities) -> str:
+def _nothing_learned(search: Engine[Search], probabilities: Probabilities) -> str:
     """Reason why there is nothing to write; empty if there is something."""
     failures = sum(row.outcome is Outcome.FAIL for row in search.rows)
     judged = sum(row.outcome.judged for row in search.rows)
     if not failures:
         return f'none of {judged} judged runs failed'
-    priors = {choice.dimension.name: choice.dimension.prior for choice in search.space.searched}
+    searched = search.proposer.space.searched
+    priors = {choice.dimension.name: choice.dimension.prior for choice in searched}
     if all(probabilities[name] == priors[name] for name in probabilities):
         return (
-            f'after {judged} judged runs {search.options.sampler} still draws as the program does; '
-            'ask for more --runs'
+            f'after {judged} judged runs {search.proposer.sampler} still draws as the '
+            'program does; ask for more --runs'
         )
     return ''
 
 
-def _evidence_words(search: Search) -> list[str]:
+def _evidence_words(search: Engine[Search]) -> list[str]:
     """Display text of the evidence for the learned histograms."""
     evidence = _evidence(search)
     if not evidence:
@@ -85,19 +88,20 @@ def _evidence_words(search: Search) -> list[str]:
     ]
 
 
-def _evidence(search: Search) -> dict[str, Evidence]:
+def _evidence(search: Engine[Search]) -> dict[str, Evidence]:
     """Weighted failures by bin of each dimension; empty if the runs' weights are not known.
 
     Of runs whose first point met the requirements: their weights are right up to one factor, the
     probability that a point of the program meets them. Those of later points are unknown.
     """
     failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
-    if any(row.weight is None and (search.space.soft or not row.refused) for row in failed):
+    soft = search.proposer.space.soft
+    if any(row.weight is None and (soft or not row.refused) for row in failed):
         return {}
     weighted = [(row.point, row.weight) for row in failed if row.weight and not row.refused]
     heaviest = _heaviest(search, [weight for _, weight in weighted])
     found = {}
-    for choice in search.space.searched:
+    for choice in search.proposer.space.searched:
         name, bins = choice.dimension.name, len(choice.dimension.prior)
         places = [choice.dimension.bin(point[name]) for point, _ in weighted if name in point]
         weights = np.array([weight for point, weight in weighted if name in point])
@@ -108,30 +112,30 @@ def _evidence(search: Search) -> dict[str, Evidence]:
     return found
 
 
-def _heaviest(search: Search, weights: Sequence[float]) -> float | None:
+def _heaviest(search: Engine[Search], weights: Sequence[float]) -> float | None:
     """The greatest weight that a run can have, from the share that the program itself draws.
 
     None without such a share, and for a package's sampler that does not say it as ``floor``.
     """
-    options = search.options
+    options = search.proposer
     floor = check_sampler(options.sampler, options.sampler_options).get('floor', 0.0)
     return max(1 / floor, *weights) if floor else None
 
 
-def _title(search: Search) -> str:
-    options = search.options
-    program = Path(options.campaign.program).stem
+def _title(search: Engine[Search]) -> str:
+    program, sampler = Path(search.options.program).stem, search.proposer.sampler
     return (
-        f'Failures of {search.perception} on {program}, found by {options.sampler} in '
+        f'Failures of {search.perception} on {program}, found by {sampler} in '
         f'{len(search.rows)} runs'
     )
 
 
-def _result(search: Search, probabilities: Probabilities) -> LearnedResult:
+def _result(search: Engine[Search], probabilities: Probabilities) -> LearnedResult:
     return LearnedResult(
         facts={**search.book.facts, 'perception': search.perception, 'runs_made': len(search.rows)},
         choices=tuple(
-            choice for choice in search.space.searched if choice.dimension.name in probabilities
+            choice for choice in search.proposer.space.searched
+            if choice.dimension.name in probabilities
         ),
         probabilities=probabilities, evidence=_evidence(search),
     )

@@ -16,26 +16,27 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.samplers.splitting import WIDE, RareEstimate, Splitting, State
 from taxinet_ros.scenes.overrides import scenes_words
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.rates import CONFIDENCE
 from taxinet_ros.trials.search import Search
 
 JSON_NAME = 'estimate.json'
 
 
-def unfinished_words(search: Search) -> str:
+def unfinished_words(search: Engine[Search]) -> str:
     """Why an ended search by ``splitting`` has no interval yet, and what goes on; '' if it has."""
     ended, planned = _splitting(search).draws()
     if ended == planned:
         return ''
     why = 'interrupted' if search.interrupted else search.stopped
-    runs = f' and --runs {planned}' if search.options.campaign.runs < planned else ''
+    runs = f' and --runs {planned}' if search.options.runs < planned else ''
     return (
         f'{ended:,} of {planned:,} planned draws have ended{f" ({why})" if why else ""}: no '
         f'interval before all have; the same with --resume{runs} continues it'
     )
 
 
-def estimate_of(search: Search) -> RareEstimate:
+def estimate_of(search: Engine[Search]) -> RareEstimate:
     """The estimate of an ended search by ``splitting`` whose Scenic child still runs.
 
     Raises:
@@ -44,19 +45,20 @@ def estimate_of(search: Search) -> RareEstimate:
     return _splitting(search).estimate()
 
 
-def _splitting(search: Search) -> Splitting:
-    sampler = search.ended_sampler()
+def _splitting(search: Engine[Search]) -> Splitting:
+    sampler = search.proposer.ended_sampler()
     assert isinstance(sampler, Splitting)
     return sampler
 
 
-def estimate_values(found: RareEstimate, search: Search) -> dict[str, Any]:
+def estimate_values(found: RareEstimate, search: Engine[Search]) -> dict[str, Any]:
     """The estimate as plain values for JSON."""
     options = search.options
     return {
-        'program': options.campaign.program, 'perception': search.perception,
-        'headline': options.campaign.judging.headline, 'seed': options.campaign.seed,
-        'sampler_options': dict(options.sampler_options), 'state': str(found.state),
+        'program': options.program, 'perception': search.perception,
+        'headline': options.judging.headline, 'seed': options.seed,
+        'sampler_options': dict(search.proposer.sampler_options),
+        'state': str(found.state),
         'low': found.low, 'high': found.high, 'confidence': CONFIDENCE,
         'probability': found.probability or None, 'drawn_plainly': found.plain,
         'runs': found.runs, 'without_result': _without_result(search),
@@ -79,21 +81,21 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _without_result(search: Search) -> int:
+def _without_result(search: Engine[Search]) -> int:
     return sum(row.outcome is Outcome.INFRA_ERROR for row in search.rows)
 
 
-def write_estimate(found: RareEstimate, search: Search) -> tuple[Path, Path | None]:
+def write_estimate(found: RareEstimate, search: Engine[Search]) -> tuple[Path, Path | None]:
     """Write ``estimate.json`` and ``tail.png`` into the campaign's folder."""
-    out = search.options.campaign.out
+    out = search.options.out
     values = estimate_values(found, search)
     write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
     if not found.curve:
         return out / JSON_NAME, None
-    campaign = search.options.campaign
+    campaign = search.options
     scenes = scenes_words(campaign.program, {**campaign.overrides, **campaign.laid_over})
     title = f'{scenes}, {search.perception}: tail of the robustness'
-    picture = tail_picture(found, title, search.options.campaign.judging.headline)
+    picture = tail_picture(found, title, search.options.judging.headline)
     written = write_png(picture, out, LIGHT)
     return out / JSON_NAME, written
 
@@ -110,7 +112,7 @@ def interval_words(low: float, high: float) -> str:
     return f'[{probability_words(low)}, {probability_words(high)}]'
 
 
-def estimate_lines(found: RareEstimate, search: Search) -> list[str]:
+def estimate_lines(found: RareEstimate, search: Engine[Search]) -> list[str]:
     """What to print: the interval, and what each of its ends rests on."""
     wide = '' if found.state is State.ESTIMATED else (
         f'; UNCLEAR: more than {WIDE} times as high as low' if found.low else
@@ -118,7 +120,7 @@ def estimate_lines(found: RareEstimate, search: Search) -> list[str]:
     )
     of = f'of {found.drawn:,} draws of the program itself {found.drawn_failed} failed'
     lines = [
-        f'P({search.options.campaign.judging.headline} violated) within '
+        f'P({search.options.judging.headline} violated) within '
         f'{interval_words(found.low, found.high)} (95 %){wide}'
     ]
     if found.plain:

@@ -27,13 +27,13 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.shrink.options import ShrinkOptions
-from taxinet_ros.trials.shrink.shrinking import (
+from taxinet_ros.trials.shrink.report import (
     Report,
     edge_words,
     off_nominal,
     run_command,
 )
+from taxinet_ros.trials.shrink.shrinking import Shrinking
 
 TEXT = Path(__file__).with_name('shrink.j2')
 _MOST = 3
@@ -108,58 +108,56 @@ JSON_NAME, PROGRAM_NAME, PICTURE_NAME = 'shrink.json', 'shrunk.scenic', 'shrink.
 PAGE_NAME = 'shrink.html'
 
 
-def write_shrunk(options: ShrinkOptions, found: Report, runs: int) -> list[str]:
+def write_shrunk(shrinking: Shrinking, found: Report) -> list[str]:
     """Write page, ``shrunk.scenic``, ``shrink.json`` and, if there are bags, ``shrink.png``.
 
     Args:
-        options: the options.
+        shrinking: the shrinking.
         found: the result so far.
-        runs: number of runs.
 
     Returns:
         The names of the files.
     """
-    out = options.campaign.out
+    out = shrinking.campaign.out
     about = (
-        f'The nearest to plain taxiing at which {options.campaign.perception} still violates '
-        f'{options.headline}.\n\nShrunk from run {options.run.run_id} by taxinet shrink.'
+        f'The nearest to plain taxiing at which {shrinking.campaign.perception} still violates '
+        f'{shrinking.headline}.\n\nShrunk from run {shrinking.run.run_id} by taxinet shrink.'
     )
     remarks = {
         one.key: f'matters: {edge_words(one)}'
         for one in found.findings if one.matters and one.rho_passes_at is not None
     }
     write_atomically(out / PROGRAM_NAME, scenario_program(found.scenario, about, remarks))
-    write_atomically(out / JSON_NAME, json.dumps(_as_json(options, found, runs), indent=2) + '\n')
-    report = shrink_report(options, found, runs)
+    write_atomically(out / JSON_NAME, json.dumps(_as_json(shrinking, found), indent=2) + '\n')
+    report = shrink_report(shrinking, found)
     write_pictures(report, out)
     write_report_page(report, out / PAGE_NAME)
     pictures = [PICTURE_NAME] if report.sections[0].pictures else []
     return [PAGE_NAME, PROGRAM_NAME, JSON_NAME, *pictures]
 
 
-def shrink_report(options: ShrinkOptions, found: Report, runs: int) -> PageReport:
+def shrink_report(shrinking: Shrinking, found: Report) -> PageReport:
     """The page on a shrinking: what is left of the failed run, and what matters in it.
 
     Args:
-        options: the options.
+        shrinking: the shrinking.
         found: the result so far.
-        runs: number of runs.
     """
-    name = options.headline
-    drawn = _trajectories(options, found)
+    name = shrinking.headline
+    drawn = _trajectories(shrinking, found)
     three = _three(found)
     bags = {
-        row.run_id: options.campaign.out / row.bag
+        row.run_id: shrinking.campaign.out / row.bag
         for row in sorted(three.values(), key=lambda row: row.rho[name])
-        if row.bag and (options.campaign.out / row.bag).is_dir()
+        if row.bag and (shrinking.campaign.out / row.bag).is_dir()
     }
     shrunk = three.get('shrunk')
     pictures = [shrink_picture(drawn, f'Fails with {off_nominal(found)}')] if drawn else []
     return fill_report(
         TEXT, {
-            'values': _as_json(options, found, runs), 'fields': BY_KEY,
-            'network': Path(options.campaign.perception).name,
-            'command': run_command(options, PROGRAM_NAME),
+            'values': _as_json(shrinking, found), 'fields': BY_KEY,
+            'network': Path(shrinking.campaign.perception).name,
+            'command': run_command(shrinking, PROGRAM_NAME),
         },
         {'parameters': (*pictures, _parameters(found))},
         runs=bags, worst='' if shrunk is None else shrunk.run_id, worst_words='The shrunk run',
@@ -187,13 +185,13 @@ def _parameters(found: Report) -> Table:
     )
 
 
-def _as_json(options: ShrinkOptions, found: Report, runs: int) -> dict[str, Any]:
+def _as_json(shrinking: Shrinking, found: Report) -> dict[str, Any]:
     return {
-        'run': options.run.run_id,
-        'perception': options.campaign.perception,
-        'spec': options.headline,
+        'run': shrinking.run.run_id,
+        'perception': shrinking.campaign.perception,
+        'spec': shrinking.headline,
         'end': found.state.end.value or 'interrupted',
-        'runs': runs,
+        'runs': len(shrinking.judged),
         'made_on': dict(provenance()),
         'runs_needed': found.state.asked,
         'parameters': {
@@ -204,7 +202,7 @@ def _as_json(options: ShrinkOptions, found: Report, runs: int) -> dict[str, Any]
             for one in found.findings
         },
         **{
-            name: {'run': row.run_id, 'rho': row.rho[options.headline]}
+            name: {'run': row.run_id, 'rho': row.rho[shrinking.headline]}
             for name, row in _three(found).items()
         },
         'scenario': found.scenario.to_human(),
@@ -216,16 +214,16 @@ def _three(found: Report) -> dict[str, RunRow]:
     return {name: row for name, row in rows.items() if row is not None}
 
 
-def _trajectories(options: ShrinkOptions, found: Report) -> list[Trajectory]:
+def _trajectories(shrinking: Shrinking, found: Report) -> list[Trajectory]:
     drawn = []
     for name, row in _three(found).items():
         # A resumed shrinking uses runs whose bags may have been deleted since.
-        if not row.bag or not (options.campaign.out / row.bag).is_dir():
+        if not row.bag or not (shrinking.campaign.out / row.bag).is_dir():
             continue
-        recording = open_recording(options.campaign.out / row.bag)
+        recording = open_recording(shrinking.campaign.out / row.bag)
         trace = recording.columns
         drawn.append(Trajectory(
-            label=f'{name}, rho {row.rho[options.headline]:+.2f}',
+            label=f'{name}, rho {row.rho[shrinking.headline]:+.2f}',
             t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
             x_m=trace['distance_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
             ok=row.outcome is Outcome.PASS,

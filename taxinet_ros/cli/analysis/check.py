@@ -77,7 +77,7 @@ def check(
 
 def _lines(one: NetworkCheck, allowed: int) -> list[str]:
     from taxinet_ros.analysis.network_check import MOST_SHOWN, PROGRAM, SEED
-    from taxinet_ros.trials.options import DEFAULT_JUDGING
+    from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 
     lines = [
         f'{one.network}: {one.count(True)} satisfied, {one.count(False)} violated, '

@@ -74,8 +74,8 @@ def monitor(
     damaged or inconsistent with its recorded verdict.
     """
     from taxinet_ros.core.mtl import parse_spec
-    from taxinet_ros.trials.options import check_assumptions, read_specs
     from taxinet_ros.trials.past_runs.added_requirements import add_requirements, addable
+    from taxinet_ros.trials.requirements import check_assumptions, read_specs
 
     chosen = [parse_spec(text) for text in read_specs(spec or ())]
     vouched = check_assumptions(bound or (), rate or (), chosen) if bound or rate else None
@@ -279,7 +279,7 @@ def _check_own_read(vouched: Assumptions, bags: Sequence[Path], run: str | None)
     from taxinet_ros.bag.run.recording import open_recording
     from taxinet_ros.bag.run.samples import run_samples
     from taxinet_ros.core.mtl import parse_spec
-    from taxinet_ros.trials.options import check_assumptions_read
+    from taxinet_ros.trials.requirements import check_assumptions_read
 
     own: dict[str, Spec] = {}
     for bag in bags:

@@ -40,7 +40,8 @@ def spec(
     from taxinet_ros.core.mtl import parse_spec
     from taxinet_ros.core.scenario import Scenario
     from taxinet_ros.core.verdict.judge import check_specs
-    from taxinet_ros.trials.options import read_specs, split_settings
+    from taxinet_ros.trials.options import split_settings
+    from taxinet_ros.trials.requirements import read_specs
     from taxinet_ros.trials.summary import requirement_lines
 
     specs = [parse_spec(text) for text in read_specs(formulas)]

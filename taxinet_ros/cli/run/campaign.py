@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
@@ -30,7 +32,8 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 from taxinet_ros.samplers.sampler import MOST_LAG
 from taxinet_ros.trials.audit import Auditor
-from taxinet_ros.trials.campaign import Campaign, exit_code
+from taxinet_ros.trials.campaign import ProgramOrder, exit_code
+from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.loop_run import Loop, campaign_loop
 from taxinet_ros.trials.options import GRAPH, LOOP, CampaignOptions
 from taxinet_ros.trials.record.facts import recorded_system
@@ -42,22 +45,23 @@ from taxinet_ros.trials.summary import (
     row_line,
     summary_json,
 )
-from taxinet_ros.trials.worker_pool import WorkerPool, run_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
+    from taxinet_ros.trials.cluster.connection import Cluster
+    from taxinet_ros.trials.cluster.pool import ClusterPool
 
 
 def run_campaign(
-    options: CampaignOptions, foxglove: int | None = None, *, workers: int = 1,
-    quiet: bool = False, as_json: bool = False,
+    options: CampaignOptions, foxglove: int | None = None, *, quiet: bool = False,
+    as_json: bool = False,
 ) -> int:
     """Run the campaign and print the results.
 
     Args:
         options: what to run.
         foxglove: port on 127.0.0.1 for the Foxglove app.
-        workers: number of runs at a time; result of :func:`check_run_workers`.
         quiet: print warnings and the summary only.
         as_json: print the summary as JSON; all else goes to standard error.
 
@@ -69,12 +73,13 @@ def run_campaign(
         from taxinet_ros.nodes.graph.foxglove_view import check_port
 
         check_port(foxglove)
-    rows = campaign_rows(options, foxglove, workers=workers, quiet=quiet, as_json=as_json)
-    return exit_code(rows)
+    return exit_code(campaign_rows(options, foxglove, quiet=quiet, as_json=as_json))
 
 
-def check_run_workers(workers: int, options: CampaignOptions, foxglove: int | None) -> int:
-    """Check the number of workers of ``taxinet run``; return it.
+def with_run_workers(
+    options: CampaignOptions, workers: int, foxglove: int | None
+) -> CampaignOptions:
+    """The options with the number of workers of ``taxinet run``.
 
     Raises:
         UsageError: out of range, without effect, or with something that there is only one of.
@@ -82,7 +87,7 @@ def check_run_workers(workers: int, options: CampaignOptions, foxglove: int | No
     if not 1 <= workers <= MOST_LAG:
         raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_LAG}')
     if workers == 1:
-        return workers
+        return options
     if options.runs == 1:
         raise UsageError(
             f'--workers {workers}: no effect on a single run; ask for more with --runs, or leave '
@@ -107,12 +112,12 @@ def check_run_workers(workers: int, options: CampaignOptions, foxglove: int | No
         from taxinet_ros.nodes.running.domain import check_workers
 
         check_workers(workers)
-    return workers
+    return dataclasses.replace(options, workers=workers)
 
 
 def campaign_rows(
-    options: CampaignOptions, foxglove: int | None = None, *, workers: int = 1,
-    quiet: bool = False, as_json: bool = False,
+    options: CampaignOptions, foxglove: int | None = None, *, quiet: bool = False,
+    as_json: bool = False,
 ) -> list[RunRow]:
     """Run and print a campaign; return the rows of its table, by the numbers of their runs.
 
@@ -128,81 +133,73 @@ def campaign_rows(
                 progress.console.print(row_line(row), soft_wrap=True)
             progress.advance(bar)
 
-        here = _Graphs(options) if workers == 1 else None
-        campaign = Campaign(options, PARTICIPANTS, show, here.make_ahead if here else _nothing)
-        at_hand = _Interruption()
+        here = _Graphs(options) if options.workers == 1 else None
+        scenes = ProgramOrder(options, here.make_ahead if here else lambda: None)
+        engine = Engine(scenes, PARTICIPANTS, show)
         with (
-            print_rows_if_lost(progress.console, campaign.rows, shown=not quiet),
-            here or contextlib.nullcontext(), campaign,
+            print_rows_if_lost(progress.console, engine.rows, shown=not quiet),
+            here or contextlib.nullcontext(), engine,
         ):
             if here:
-                here.check(campaign.book.facts)
+                here.check(engine.book.facts)
             if not quiet:
-                lines = [campaign_heading(options, workers), *campaign.notes]
+                lines = [campaign_heading(options), *scenes.notes]
                 progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
-            for line in requirement_lines(campaign.check, quiet=quiet):
+            for line in requirement_lines(scenes.check, quiet=quiet):
                 progress.console.print(line, soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
             if here:
-                _run_here(campaign, here, at_hand, foxglove)
+                _run_here(engine, here, foxglove)
             else:
-                _run_on_workers(campaign, workers, at_hand)
-        campaign.rows.sort(key=lambda row: row.index)
-    console.print(campaign_summary(campaign.rows, options), soft_wrap=True)
+                run_on_workers(engine)
+    rows = sorted(engine.rows, key=lambda row: row.index)
+    console.print(campaign_summary(rows, options), soft_wrap=True)
     if as_json:
-        print(json.dumps(summary_json(campaign.rows, options, options.runs), allow_nan=False))
-    if at_hand.interrupted and len(campaign.rows) < options.runs:
-        raise ToldInterrupt if campaign.rows else KeyboardInterrupt
-    return campaign.rows
+        print(json.dumps(summary_json(rows, options, options.runs), allow_nan=False))
+    if engine.interrupted and len(rows) < options.runs:
+        raise ToldInterrupt if rows else KeyboardInterrupt
+    return rows
 
 
-def _nothing() -> None:
-    """Nothing to do while the program's process starts."""
-
-
-def _run_here(
-    campaign: Campaign, graphs: _Graphs, at_hand: _Interruption, foxglove: int | None
-) -> None:
+def _run_here(engine: Engine[ProgramOrder], graphs: _Graphs, foxglove: int | None) -> None:
     """Make the runs of an open campaign one by one."""
-    with interrupts(at_hand.interrupt):
-        while campaign.unfinished and not at_hand.interrupted:
+    running: list[Graph] = []
+
+    def interrupt() -> None:
+        engine.interrupt()
+        for graph in running:
+            graph.interrupt()
+
+    with interrupts(interrupt):
+        while not engine.ended:
             with graphs.next() as graph, _view(foxglove, graph):
-                at_hand.take(graph)
-                graph.run(campaign.requests(), campaign.take)
-                at_hand.graph = None
+                running.append(graph)
+                graph.run(iter(engine.next, None), engine.take)
+                running.clear()
 
 
-def _run_on_workers(campaign: Campaign, workers: int, at_hand: _Interruption) -> None:
-    """Make the runs of an open campaign on worker processes, as a search does."""
-    from taxinet_ros.nodes.graph.worker import campaign_worker_command
-
-    options = campaign.options
-    command = campaign_worker_command(options, campaign.book.facts)
-    with (
-        interrupts(at_hand.interrupt),
-        WorkerPool(command, workers, options.out / 'logs') as pool,
-    ):
-        run_search(_Scenes(campaign, at_hand), pool)
+def run_on_workers(engine: Engine[Any], cluster: Cluster | None = None) -> None:
+    """Make the runs of an open campaign on its workers; Ctrl-C ends it in order."""
+    with interrupts(engine.interrupt), _pool(engine, cluster) as pool:
+        run_search(engine, pool)
 
 
-class _Scenes:
-    """The scenes of a campaign in their order, as what a pool of workers runs."""
+def _pool(engine: Engine[Any], cluster: Cluster | None) -> WorkerPool | ClusterPool:
+    from taxinet_ros.nodes.graph.worker import campaign_worker_command  # ROS takes time to import
 
-    def __init__(self, campaign: Campaign, at_hand: _Interruption) -> None:
-        self._campaign, self._at_hand = campaign, at_hand
-        self._requests = campaign.requests()
+    options, facts = engine.options, engine.book.facts
+    if cluster is None:
+        command = campaign_worker_command(options, facts)
+        return WorkerPool(command, options.workers, options.out / 'logs')
+    from taxinet_ros.trials.cluster.pool import ClusterPool
+    from taxinet_ros.trials.cluster.task import OUT
 
-    @property
-    def interrupted(self) -> bool:
-        return self._at_hand.interrupted
-
-    def next(self) -> RunRequest | None:
-        more = self._campaign.unfinished and not self.interrupted
-        return next(self._requests, None) if more else None
-
-    def take(self, request: RunRequest, result: RunResult) -> None:
-        self._campaign.take(request, result)
+    elsewhere = dataclasses.replace(options, out=Path(OUT))
+    return ClusterPool(
+        cluster, campaign_worker_command(elsewhere, facts), options.out,
+        fingerprint=facts['perception_sha256'], on_machine=engine.book.add_machine,
+    )
 
 
 def _view(port: int | None, graph: Graph) -> contextlib.AbstractContextManager[None]:
@@ -329,22 +326,3 @@ class _LoopGraph:
 
     def interrupt(self) -> None:
         self._loop.interrupted = True
-
-
-class _Interruption:
-    """The graph whose run is ended in order on an interrupt."""
-
-    def __init__(self) -> None:
-        self.interrupted = False
-        self.graph: Graph | None = None
-
-    def interrupt(self) -> None:
-        self.interrupted = True
-        if self.graph is not None:
-            self.graph.interrupt()
-
-    def take(self, graph: Graph) -> None:
-        """Set the graph; end its run if an interrupt came before."""
-        self.graph = graph
-        if self.interrupted:
-            graph.interrupt()

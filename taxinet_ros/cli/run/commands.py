@@ -107,7 +107,7 @@ def run(
     """
     if bag is None:
         _start_scenic()
-    from taxinet_ros.cli.run.campaign import check_run_workers, run_campaign
+    from taxinet_ros.cli.run.campaign import run_campaign, with_run_workers
     from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
     from taxinet_ros.trials.options import LOOP, make_options
@@ -136,8 +136,7 @@ def run(
     )
     raise ended(
         run_campaign(
-            options, foxglove, workers=check_run_workers(workers, options, foxglove),
-            quiet=quiet, as_json=as_json,
+            with_run_workers(options, workers, foxglove), foxglove, quiet=quiet, as_json=as_json,
         ), exit_zero,
     )
 
@@ -214,24 +213,23 @@ def falsify(
     from taxinet_ros.core.world import world_word
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.search_options import make_search_options
+    from taxinet_ros.trials.search import make_search
 
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
             settings=settings or (),
-            specs=spec or (), out=out, processes=False, images=images, resume=resume,
+            specs=spec or (), out=out, images=images, resume=resume,
             stop_on=stop_on, bounds=bound or (), rates=rate or (),
             controller=controller_of(context), latency=latency or (),
             world=world_word(world, camera),
             engine=engine, audit=audit,
         )
-        options = make_search_options(
+        search = make_search(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-            resume=resume, until=until, budget_min=budget, lag=lag, cluster=cluster,
-            odd=odd,
+            until=until, budget_min=budget, lag=lag, cluster=cluster, odd=odd,
         )
-    raise ended(run_falsify(options, quiet=quiet, as_json=as_json), exit_zero)
+    raise ended(run_falsify(search, quiet=quiet, as_json=as_json), exit_zero)
 
 
 def estimate(
@@ -278,22 +276,21 @@ def estimate(
     from taxinet_ros.core.world import world_word
     from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.search_options import make_estimate_options
+    from taxinet_ros.trials.search import make_estimate
 
     with missing_packages_named(out if resume else None):
         campaign = make_options(
             program=scenario, runs=runs, seed=seed, perception=perception,
             settings=settings or (),
-            specs=spec or (), out=out, processes=False, images=images, resume=resume,
+            specs=spec or (), out=out, images=images, resume=resume,
             bounds=bound or (), rates=rate or (), controller=controller,
             latency=latency or (), world=world_word(world, camera), engine=engine,
             audit=audit,
         )
-        options = make_estimate_options(
-            campaign, floor=down_to, islands=islands, workers=workers,
-            resume=resume,
+        search = make_estimate(
+            campaign, floor=down_to, islands=islands, workers=workers
         )
-    raise typer.Exit(run_estimate(options, quiet=quiet, as_json=as_json))
+    raise typer.Exit(run_estimate(search, quiet=quiet, as_json=as_json))
 
 
 def shrink(
@@ -318,15 +315,15 @@ def shrink(
     """
     from taxinet_ros.cli.run.search import run_shrink
     from taxinet_ros.trials.record.facts import missing_packages_named
-    from taxinet_ros.trials.shrink.options import make_shrink_options
+    from taxinet_ros.trials.shrink.shrinking import make_shrinking
 
     with missing_packages_named(run.parent):
-        options = make_shrink_options(
+        shrinking = make_shrinking(
             run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
             workers=workers, out=out, resume=resume, images=images, controller=controller,
             engine=engine, audit=audit, cluster=cluster,
         )
-    raise typer.Exit(run_shrink(options, quiet=quiet))
+    raise typer.Exit(run_shrink(shrinking, quiet=quiet))
 
 
 def experiment(

@@ -35,8 +35,7 @@ def demo(out: OutOption = None, runs: RunsOption = 10, seed: SeedOption = 1) -> 
     codes: dict[str, int] = {}
     for perception in PERCEPTIONS:
         options = make_options(
-            program=PROGRAM, runs=runs, seed=seed, perception=perception, settings=(), specs=(),
-            out=out / perception, processes=False,
+            program=PROGRAM, runs=runs, seed=seed, perception=perception, out=out / perception
         )
         rows = campaign_rows(options)
         codes[perception] = exit_code(rows)

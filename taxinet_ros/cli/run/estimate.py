@@ -15,21 +15,23 @@ from taxinet_ros.analysis.search.rare import (
     unfinished_words,
     write_estimate,
 )
-from taxinet_ros.cli.run.search import open_search, run_on_workers, search_view
+from taxinet_ros.cli.run.campaign import run_on_workers
+from taxinet_ros.cli.run.search import open_search, search_view
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.samplers.splitting import RareEstimate, State
-from taxinet_ros.trials.search import Search, search_heading, space_lines
-from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.engine import Engine
+from taxinet_ros.trials.search import Search
+from taxinet_ros.trials.search_summary import heading_lines
 from taxinet_ros.trials.summary import requirement_lines
 
 
-def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
+def run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
     """Run the chains, and print and write the estimate.
 
     Args:
-        options: options of the search, by the sampler ``splitting``.
+        asked: the search, by the sampler ``splitting``.
         quiet: print warnings and the result only.
         as_json: print the result as JSON, and all else on standard error.
 
@@ -40,15 +42,15 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
     Raises:
         UsageError: bad input.
     """
-    check_workers(options.workers)
+    check_workers(asked.campaign.workers)
     console = Console(highlight=False, stderr=as_json)
-    with open_search(options, console, quiet=True) as search:
+    with open_search(asked, console, quiet=True) as search:
         lines: list[str] = [search.book.warning] if search.book.warning else []
         if not quiet:
-            lines += [search_heading(search.options), *space_lines(search.space), *search.notes]
+            lines += heading_lines(asked)
         for line in lines:
             console.print(line, soft_wrap=True, markup=False)
-        for requirement in requirement_lines(search.check, quiet=quiet):
+        for requirement in requirement_lines(asked.check, quiet=quiet):
             console.print(requirement, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search)
@@ -73,7 +75,7 @@ def run_estimate(options: SearchOptions, *, quiet: bool, as_json: bool) -> int:
     return _exit_code(search, ExitCode.OK if estimated else ExitCode.INCOMPLETE)
 
 
-def _exit_code(search: Search, otherwise: ExitCode) -> ExitCode:
+def _exit_code(search: Engine[Search], otherwise: ExitCode) -> ExitCode:
     """What ended the search before its end, or the code of its result."""
     if search.exhausted:
         return otherwise
@@ -82,10 +84,9 @@ def _exit_code(search: Search, otherwise: ExitCode) -> ExitCode:
     return ExitCode.INFRA if search.stopped else otherwise
 
 
-def _next_lines(found: RareEstimate, search: Search) -> Sequence[str]:
+def _next_lines(found: RareEstimate, search: Engine[Search]) -> Sequence[str]:
     """Why it ended, and the next useful command."""
-    options = search.options
-    out = shlex.quote(str(options.campaign.out))
+    out = search.options.out
     why = 'interrupted' if search.interrupted else search.stopped
     lines = [f'ended: {why}'] if why else []
     failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
@@ -103,9 +104,9 @@ def _next_lines(found: RareEstimate, search: Search) -> Sequence[str]:
     elif failed:
         worst = min(failed, key=lambda row: row.headline[1] if row.headline else 0.0)
         lines.append(
-            f'next: taxinet analyze {out} for causes, or taxinet explain '
-            f'{shlex.quote(str(options.campaign.out / worst.run_id))} for the worst failure'
+            f'next: taxinet analyze {shlex.quote(str(out))} for causes, or taxinet explain '
+            f'{shlex.quote(str(out / worst.run_id))} for the worst failure'
         )
     else:
-        lines.append(f'next: taxinet analyze {out}')
+        lines.append(f'next: taxinet analyze {shlex.quote(str(out))}')
     return lines

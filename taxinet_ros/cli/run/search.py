@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import datetime
 import json
 import math
@@ -11,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -28,18 +28,17 @@ from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.cli.progress import print_rows_if_lost
+from taxinet_ros.cli.run.campaign import run_on_workers
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.files.sealed_table import write_table
-from taxinet_ros.nodes.graph.worker import campaign_worker_command
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
-from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.connection import Cluster
-from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.trials.cluster.task import OUT
+from taxinet_ros.trials.cluster.pool import campaign_cluster
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.experiment import (
     JSON_NAME,
     PAGE_NAME,
@@ -49,16 +48,14 @@ from taxinet_ros.trials.experiment import (
     arm_searches,
     check_paired,
 )
-from taxinet_ros.trials.options import AUDIT, GRAPH
+from taxinet_ros.trials.options import AUDIT, GRAPH, CampaignOptions
 from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search import Search, search_heading, search_summary, space_lines
-from taxinet_ros.trials.search_options import SearchOptions
+from taxinet_ros.trials.search import Search
+from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.shrink.algorithm import End
-from taxinet_ros.trials.shrink.options import ShrinkOptions
-from taxinet_ros.trials.shrink.shrinking import (
+from taxinet_ros.trials.shrink.report import (
     Report,
-    Shrinking,
     finding_lines,
     make_report,
     parameter_table,
@@ -66,19 +63,19 @@ from taxinet_ros.trials.shrink.shrinking import (
     run_command,
     shrink_heading,
 )
+from taxinet_ros.trials.shrink.shrinking import Shrinking
 from taxinet_ros.trials.summary import (
     requirement_lines,
     row_line,
     scene_words,
     summary_json,
 )
-from taxinet_ros.trials.worker_pool import WorkerPool, run_search
 
 _REFRESH_PER_S = 2.0
 
 
 @contextlib.contextmanager
-def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[None]:
+def search_view(console: Console, search: Engine[Any], *, shown: bool) -> Iterator[None]:
     """Context that shows the search live; with ``shown`` False, nothing."""
     columns = (
         BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(), _Figures(search),
@@ -94,7 +91,7 @@ def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[No
 class _Figures(ProgressColumn):
     """Figures beside the bar: failures, pace, time left, lowest robustness, failure rate."""
 
-    def __init__(self, search: Search) -> None:
+    def __init__(self, search: Engine[Any]) -> None:
         super().__init__()
         self._search = search
         self._began = time.monotonic()
@@ -126,11 +123,11 @@ class _Figures(ProgressColumn):
         return Text('  '.join(words))
 
 
-def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -> int:
+def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
     """Run the search and print the results.
 
     Args:
-        options: options of the search.
+        asked: the search.
         quiet: print warnings and the summary only.
         as_json: print the summary as JSON; all else goes to standard error.
 
@@ -140,18 +137,18 @@ def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -
     Raises:
         UsageError: bad input, or every scene was rejected.
     """
-    check_workers(options.workers)
+    check_workers(asked.campaign.workers)
     console = Console(highlight=False, stderr=as_json)
     with (
-        _open_cluster(options, console) as cluster,
-        open_search(options, console, quiet=quiet) as search,
+        _open_cluster(asked.campaign, console) as cluster,
+        open_search(asked, console, quiet=quiet) as search,
     ):
         if search.book.warning:
             console.print(search.book.warning, soft_wrap=True, markup=False)
         if not quiet:
-            lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
+            lines = heading_lines(asked)
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
-        for line in requirement_lines(search.check, quiet=quiet):
+        for line in requirement_lines(asked.check, quiet=quiet):
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search, cluster)
@@ -159,18 +156,21 @@ def run_falsify(options: SearchOptions, *, quiet: bool, as_json: bool = False) -
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if as_json:
-        values = summary_json(search.rows, options.campaign, planned)
-        print(json.dumps({**values, 'sampler': search.options.sampler}, allow_nan=False))
-    if search.interrupted and len(search.rows) < options.runs:
+        values = summary_json(search.rows, asked.campaign, planned)
+        print(json.dumps({**values, 'sampler': asked.sampler}, allow_nan=False))
+    if search.interrupted and len(search.rows) < search.options.runs:
         return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
 
 @contextlib.contextmanager
-def open_search(options: SearchOptions, console: Console, *, quiet: bool) -> Iterator[Search]:
+def open_search(
+    asked: Search, console: Console, *, quiet: bool
+) -> Iterator[Engine[Search]]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
     shown = not (quiet or console.is_terminal)
-    search = Search(options, PARTICIPANTS, partial(_print_row, console=console, quiet=quiet))
+    show = partial(_print_row, console=console, quiet=quiet)
+    search = Engine(asked, PARTICIPANTS, show)
     with print_rows_if_lost(console, search.rows, shown=shown), search:
         yield search
 
@@ -182,35 +182,16 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 
 
 def _open_cluster(
-    options: SearchOptions | ShrinkOptions, console: Console
+    options: CampaignOptions, console: Console
 ) -> contextlib.AbstractContextManager[Cluster | None]:
-    """Context of the connected cluster of a search, or of None."""
+    """Context of the connected cluster of a campaign, or of None."""
     if not options.cluster:
         return contextlib.nullcontext()
 
     def tell(line: str) -> None:
         console.print(plain_line(line), soft_wrap=True, markup=False)
 
-    return campaign_cluster(options.campaign, options.cluster, tell=tell)
-
-
-def run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) -> None:
-    """Execute the runs of an open search on its workers; Ctrl-C ends it in order."""
-    with interrupts(search.interrupt), _pool(search, cluster) as pool:
-        run_search(search, pool)
-
-
-def _pool(search: Search | Shrinking, cluster: Cluster | None) -> WorkerPool | ClusterPool:
-    options, facts = search.options, search.book.facts
-    campaign = options.campaign
-    if cluster is None:
-        command = campaign_worker_command(campaign, facts)
-        return WorkerPool(command, options.workers, campaign.out / 'logs')
-    elsewhere = dataclasses.replace(campaign, out=Path(OUT))
-    return ClusterPool(
-        cluster, campaign_worker_command(elsewhere, facts), campaign.out,
-        fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
-    )
+    return campaign_cluster(options, options.cluster, tell=tell)
 
 
 def run_experiment(
@@ -232,13 +213,13 @@ def run_experiment(
         experiment, out, workers=workers, resume=resume, engine=engine, audit=audit,
         cluster=cluster,
     )
-    for number, (name, options) in enumerate(searches.items(), 1):
+    for number, (name, arm) in enumerate(searches.items(), 1):
         console.print(
             f'arm {number} of {len(searches)}: {name}, {experiment.runs} scenes -> '
-            f'{options.campaign.out}', soft_wrap=True,
+            f'{arm.campaign.out}', soft_wrap=True,
         )
-        search = _run_arm(options, console, first=number == 1)
-        if search.interrupted and len(search.rows) < options.campaign.runs:
+        search = _run_arm(arm, console, first=number == 1)
+        if search.interrupted and len(search.rows) < arm.campaign.runs:
             console.print('interrupted; continue with --resume')
             return ExitCode.INTERRUPTED
         if search.stopped and not search.exhausted:
@@ -253,18 +234,18 @@ def run_experiment(
     return ExitCode.INFRA if broken else ExitCode.OK
 
 
-def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
+def _run_arm(arm: Search, console: Console, *, first: bool) -> Engine[Search]:
     """Run one arm until it is complete, interrupted, or ended by an infrastructure error.
 
     The first arm prints how the requirements are parsed; they are the same in all arms.
     """
     with (
-        _open_cluster(options, console) as cluster,
-        open_search(options, console, quiet=False) as search,
+        _open_cluster(arm.campaign, console) as cluster,
+        open_search(arm, console, quiet=False) as search,
     ):
-        for line in requirement_lines(search.check, quiet=not first):
+        for line in requirement_lines(arm.check, quiet=not first):
             console.print(line, soft_wrap=True)
-        for note in (*search.notes, *filter(None, [search.book.warning])):
+        for note in (*arm.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
         with search_view(console, search, shown=console.is_terminal):
             run_on_workers(search, cluster)
@@ -295,11 +276,11 @@ def _report(
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
 
 
-def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
+def run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
     """Shrink the run, write the result and print it.
 
     Args:
-        options: options of the search.
+        shrinking: what to run.
         quiet: print the outcome only.
 
     Returns:
@@ -310,46 +291,45 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
         InfraError: the test bench failed.
         RecordError: the record cannot be written.
     """
-    check_workers(options.workers)
+    check_workers(shrinking.campaign.workers)
     console = Console(highlight=False)
     begun = time.monotonic()
     with _shrink_view(console, quiet=quiet) as show:
-        shrinking = Shrinking(options, PARTICIPANTS, show)
+        engine = Engine(shrinking, PARTICIPANTS, show)
         shown = not (quiet or console.is_terminal)
         with (
-            _open_cluster(options, console) as cluster,
-            print_rows_if_lost(console, shrinking.rows, shown=shown), shrinking,
+            _open_cluster(engine.options, console) as cluster,
+            print_rows_if_lost(console, engine.rows, shown=shown), engine,
         ):
-            if shrinking.book.warning:
-                console.print(shrinking.book.warning, soft_wrap=True, markup=False)
+            if engine.book.warning:
+                console.print(engine.book.warning, soft_wrap=True, markup=False)
             if not quiet:
-                console.print(shrink_heading(options), soft_wrap=True)
-            run_on_workers(shrinking, cluster)
+                console.print(shrink_heading(shrinking), soft_wrap=True)
+            run_on_workers(engine, cluster)
     found = make_report(shrinking)
-    _check_bench(shrinking)
-    _check_reproduced(options, found)
-    with print_rows_if_lost(console, shrinking.rows, shown=True):
+    _check_bench(engine)
+    _check_reproduced(shrinking, found)
+    with print_rows_if_lost(console, engine.rows, shown=True):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
     return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 
 def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:
-    options, runs = shrinking.options, len(shrinking.rows)
-    lines = result_lines(found, options, runs, wall_s)
+    lines = result_lines(found, shrinking, wall_s)
     if found.original is not None:
         from taxinet_ros.analysis.search.shrinking import PROGRAM_NAME, write_shrunk
 
-        out = options.campaign.out
-        names = write_shrunk(options, found, runs)
+        out = shrinking.campaign.out
+        names = write_shrunk(shrinking, found)
         console.print(parameter_table(found))
         console.print('\n'.join(finding_lines(found)), soft_wrap=True)
         lines.append(f'written: {out / names[0]}, {", ".join(names[1:])}')
-        lines.append(f'run it: {run_command(options, str(out / PROGRAM_NAME))}')
+        lines.append(f'run it: {run_command(shrinking, str(out / PROGRAM_NAME))}')
     console.print('\n'.join(lines), soft_wrap=True)
 
 
-def _check_bench(shrinking: Shrinking) -> None:
-    if (row := shrinking.broken) is not None:
+def _check_bench(engine: Engine[Shrinking]) -> None:
+    if (row := engine.broken) is not None:
         often = '' if row.kind == AUDIT else 'twice '
         detail = (
             f'{row.detail or row.outcome} ({often}in run {row.run_id}; continue with --resume)'
@@ -357,15 +337,15 @@ def _check_bench(shrinking: Shrinking) -> None:
         raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
 
 
-def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
+def _check_reproduced(shrinking: Shrinking, found: Report) -> None:
     if found.state.end is not End.NOT_REPRODUCED:
         return
     assert found.original is not None
-    name = options.headline
-    interval = options.run.robustness.get(name)
+    name = shrinking.headline
+    interval = shrinking.run.robustness.get(name)
     before = f', recorded as {interval.bound_words().removeprefix("rho ")}' if interval else ''
     raise UsageError(
-        f'{options.run.run_id}: not reproduced: on rerun, {name} has rho '
+        f'{shrinking.run.run_id}: not reproduced: on rerun, {name} has rho '
         f'{found.original.rho[name]:+.2f}{before}; was it recorded with another version, '
         'perception or gains?'
     )

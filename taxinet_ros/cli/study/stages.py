@@ -16,7 +16,7 @@ from taxinet_ros.errors import ExitCode
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.trials.options import GRAPH, make_options
 from taxinet_ros.trials.record.facts import missing_packages_named
-from taxinet_ros.trials.search_options import make_search_options
+from taxinet_ros.trials.search import make_search
 
 
 def call_stage(stage: Stage, resume: bool) -> int:
@@ -42,14 +42,14 @@ def _falsify(
 
     with missing_packages_named(out if resume else None):
         campaign = make_options(
-            program=program, runs=runs, seed=seed, perception=perception, settings=(), specs=(),
-            out=out, processes=False, images=images, resume=resume, engine=engine, audit=audit,
+            program=program, runs=runs, seed=seed, perception=perception, out=out, images=images,
+            resume=resume, engine=engine, audit=audit,
         )
-        options = make_search_options(
+        search = make_search(
             campaign, sampler=sampler, sampler_options=sampler_option, workers=workers,
-            resume=resume, until=None, budget_min=None, cluster=cluster,
+            cluster=cluster,
         )
-    return run_falsify(options, quiet=False)
+    return run_falsify(search, quiet=False)
 
 
 def _train(

@@ -138,7 +138,7 @@ camera_app.command('compare')(compare)
 def _write_camera(camera: CameraModel, path: Path) -> None:
     """Write the file of a camera, with which its pictures are the same."""
     from taxinet_ros.files.plain_values import dump_yaml
-    from taxinet_ros.trials.options import SUFFIXES
+    from taxinet_ros.trials.requirements import SUFFIXES
 
     if path.suffix not in SUFFIXES:
         raise UsageError(f'--yaml {path}: camera files end in .yaml; use {path.stem}.yaml')

@@ -24,9 +24,10 @@ from taxinet_ros.extras.tune.tuning import (
     varied_gains,
 )
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.trials.options import DEFAULT_JUDGING, DEFAULT_ROOT, read_specs
+from taxinet_ros.trials.options import DEFAULT_ROOT
 from taxinet_ros.trials.past_runs.shared_scenes import scenes_of_program
 from taxinet_ros.trials.rates import rate
+from taxinet_ros.trials.requirements import DEFAULT_JUDGING, read_specs
 from taxinet_ros.trials.run_command import RunSettings
 
 JSON_NAME = 'tune.json'

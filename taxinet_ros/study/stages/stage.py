@@ -14,8 +14,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
+from taxinet_ros.core.system import System
 from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.scenes.source import program_digest
 from taxinet_ros.trials.experiment import find_experiment, read_experiment
@@ -166,7 +166,7 @@ def with_engine(
     Raises:
         UsageError: unknown engine, or a bad share.
     """
-    check_engine(engine, audit, GroundTruth.word, STEERING, {})
+    check_engine(engine, audit, System(perception=GroundTruth.word))
     more = {
         **({} if engine == GRAPH else {'engine': engine}),
         **({} if audit is None else {'audit': audit}),

@@ -1,19 +1,17 @@
 """A campaign on disk: its record, open for writing, and the table made from it.
 
-Plain campaigns, searches, arms of experiments and shrinkings each use one book. They choose the
-next scene; the book handles run numbers, names and rows, retries, and the checks for resuming.
-That a run begins is recorded before it, its result after it. If the record is moved, deleted or
-replaced meanwhile, the campaign ends, since its verdicts would be lost.
+The engine (:mod:`taxinet_ros.trials.engine`) makes the runs; the book names them, makes their rows
+and keeps these. That a run begins is recorded before it, its result after it. If the record is
+moved, deleted or replaced meanwhile, the campaign ends, since its verdicts would be lost.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -28,9 +26,8 @@ from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import RecordError, UsageError, warn_once
 from taxinet_ros.files.atomic import disk_words
-from taxinet_ros.files.record import RECORD_NAME, Record, plain, repair_record, repaired
-from taxinet_ros.scenes.programs import check_same_files
-from taxinet_ros.trials.options import AUDIT, CampaignOptions, check_new, make_out
+from taxinet_ros.files.record import RECORD_NAME, Record, repair_record, repaired
+from taxinet_ros.trials.options import CampaignOptions, check_new, make_out
 from taxinet_ros.trials.record.content import (
     DOCUMENT,
     END,
@@ -40,21 +37,12 @@ from taxinet_ros.trials.record.content import (
     run_key,
 )
 from taxinet_ros.trials.record.facts import (
-    ARM,
-    ARMS,
-    AUDIT_PERCENT,
     BEGUN,
-    ENGINE,
-    EXTENSIONS,
     FACTS,
-    ODD,
     ROW,
     SPARE,
     STACKS,
-    UNTIL,
-    package_words,
     recorded_stacks,
-    same_fact,
     stack_difference,
     this_stack,
 )
@@ -146,12 +134,11 @@ class CampaignBook:
     """The open record of one campaign; a context manager that writes the table at its end.
 
     Attributes:
+        options: options of the campaign.
         facts: facts of the campaign, from :meth:`begin` on.
         earlier: what the record contained when it was opened; only within the ``with``.
         rows: the latest row of each run by index, as in the table, including earlier sessions.
         warning: one line if these were made on another machine or version, or ''.
-        broken_in_a_row: number of consecutive runs with an infrastructure error.
-        difference: line on an audit that found a difference, which ends the campaign; or ''.
         complete: whether it ended as it was asked to, with all its runs or by a rule, so that
             nothing of a repaired record is missing any more; set by its owner.
     """
@@ -172,10 +159,8 @@ class CampaignBook:
         self.earlier = CampaignContent()
         self.rows: dict[int, RunRow] = {}
         self.warning = ''
-        self.broken_in_a_row = 0
-        self.difference = ''
         self.complete = False
-        self._options = options
+        self.options = options
         self._out = options.out
         self._participants = tuple(participants)
         self._on_row = on_row
@@ -183,8 +168,6 @@ class CampaignBook:
         self._begun = False
         self._facts_due = False
         self._attempts: Counter[int] = Counter()
-        self._retries: list[RunRequest] = []
-        self._retried: set[int] = set()
         self._documents: set[tuple[str, str]] = set()
 
     def check_folder(self) -> None:
@@ -312,42 +295,13 @@ class CampaignBook:
         self._write_due_facts()
         self._attempts[index] += 1
         request = run_request(
-            self._options, index, scenario, self._participants, self._attempts[index]
+            self.options, index, scenario, self._participants, self._attempts[index]
         )
         rename_broken(self._out / request.run_id)
         entries = [*self._new_documents(scenario), (BEGUN, run_key(index), self._attempts[index])]
         with self._watched():
             self._record.put_all(entries)
         return request
-
-    def second_chance(self, request: RunRequest, result: RunResult) -> bool:
-        """Whether to retry a run with an infrastructure error, once; see :meth:`next_retry`.
-
-        Raises:
-            RecordError: the record cannot be written.
-        """
-        hopeless = self.was_retried(request.index) or result.kind == AUDIT
-        if result.outcome is not Outcome.INFRA_ERROR or hopeless:
-            return False
-        self._retried.add(request.index)
-        self._retries.append(self.begin_run(request.index, request.scenario))
-        return True
-
-    def next_retry(self) -> RunRequest | None:
-        """The next run waiting for its retry, or None."""
-        return self._retries.pop() if self._retries else None
-
-    def was_retried(self, index: int) -> bool:
-        """Whether a run has been retried in this session."""
-        return index in self._retried
-
-    def finished_row(self, request: RunRequest, result: RunResult) -> RunRow:
-        """The row of a run that the graph has answered."""
-        return finished_row(self._options, request, result)
-
-    def rejected_row(self, index: int, detail: str) -> RunRow:
-        """The row of a scene rejected by the program's requirements."""
-        return rejected_row(self._options, index, detail)
 
     def keep(self, row: RunRow) -> None:
         """Record the result of a run.
@@ -357,11 +311,6 @@ class CampaignBook:
         """
         row.check()
         self.rows[row.index] = row
-        if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench was involved
-            infra = row.outcome is Outcome.INFRA_ERROR
-            self.broken_in_a_row = self.broken_in_a_row + 1 if infra else 0
-            if row.kind == AUDIT:
-                self.difference = f'audit of run {row.index}: {row.detail}'
         try:
             self._write_due_facts()
             with self._watched():
@@ -418,75 +367,3 @@ def check_resumable(out: Path) -> None:
             f'--resume: {path}: {what}, so the earlier options are unknown; put it back, or '
             'choose another --out'
         )
-
-
-UNKNOWN_TO_SAMPLER = 'untold'
-"""The fact that lists the runs whose results a search's sampler never receives."""
-_MAY_DIFFER = frozenset({
-    'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARM,
-    ARMS, ENGINE, AUDIT_PERCENT, UNTIL,
-})
-"""Facts that may differ on a resume: more runs may be requested; the digest covers the text;
-warnings differ between versions; another machine or version only causes a warning; both engines
-give the same rows and bags; a stop rule chooses no scene."""
-_WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
-"""The command that writes campaigns with a certain fact."""
-
-
-def check_same_campaign(
-    out: Path, content: CampaignContent, facts: Mapping[str, Any], undecided: Collection[str] = ()
-) -> None:
-    """Check that a campaign to resume is the requested one.
-
-    Args:
-        out: folder of the campaign.
-        content: content of its record.
-        facts: facts of the requested campaign.
-        undecided: names of facts that are not yet known.
-
-    Raises:
-        UsageError: another campaign was started there.
-    """
-    if content.rows and not content.facts:
-        raise UsageError(
-            f'--resume: {out / RECORD_NAME}: has runs, but not what the campaign is; begin it '
-            'anew, with another --out'
-        )
-    if content.facts:
-        _check_same(out, content.facts, {
-            name: value for name, value in facts.items() if name not in undecided
-        })
-
-
-def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    now = plain(now)
-    for name, command in _WRITTEN_BY.items():
-        if name in now and name not in before:
-            raise UsageError(f'--resume: {out / RECORD_NAME}: not written by {command}')
-    _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
-    check_same_files(f'--resume: {out}', before, now)
-    for name in dict.fromkeys((*now, ODD)):
-        if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
-            raise UsageError(
-                f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
-                f'{short_json(now.get(name))}; repeat its options, or choose another --out'
-            )
-
-
-def _check_same_packages(
-    out: Path, before: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]
-) -> None:
-    for kind in before.keys() & now.keys():
-        one, other = before[kind], now[kind]
-        if one != other and one['name'] == other['name']:
-            raise UsageError(
-                f'--resume: {out} was begun with {package_words(kind, one)}, which is now of '
-                f'{other["distribution"]} {other["version"]} (sha256 {other["sha256"][:12]}…); put '
-                'the package back as it was, or name another --out'
-            )
-
-
-def short_json(value: Any) -> str:
-    """A fact for a message, as JSON, truncated if long."""
-    text = json.dumps(value)
-    return text if len(text) <= 80 else text[:79] + '…'

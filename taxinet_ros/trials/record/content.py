@@ -55,6 +55,11 @@ class CampaignContent:
         """Indices of runs that were started and have no result, ascending."""
         return tuple(sorted(set(self.attempts) - {row.index for row in self.rows}))
 
+    @property
+    def begun(self) -> int:
+        """Number of runs that were started or have a result, counted from run 0."""
+        return 1 + max((*self.unfinished, *(row.index for row in self.rows)), default=-1)
+
 
 def read_campaign(folder: Path) -> CampaignContent:
     """Read the record of a campaign, even while it is being written.

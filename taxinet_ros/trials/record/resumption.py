@@ -1,24 +1,47 @@
-"""State of an interrupted search, and whether it is the same search.
+"""Whether a campaign to resume is the requested one, and which of a search's runs are repeated.
 
 If the graph determines perception and timing, they are known only after its first result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import json
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, timing_words
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
-from taxinet_ros.samplers.sampler import LAG
-from taxinet_ros.trials.record.book import UNKNOWN_TO_SAMPLER, check_same_campaign
+from taxinet_ros.files.record import RECORD_NAME, plain
+from taxinet_ros.scenes.programs import check_same_files
 from taxinet_ros.trials.record.content import CampaignContent
-from taxinet_ros.trials.record.facts import ARM, ARMS, UNTIL, recorded_rules
+from taxinet_ros.trials.record.facts import (
+    ARM,
+    ARMS,
+    AUDIT_PERCENT,
+    ENGINE,
+    EXTENSIONS,
+    ODD,
+    STACKS,
+    UNTIL,
+    package_words,
+    recorded_rules,
+    same_fact,
+)
 from taxinet_ros.trials.record.row import RunRow
 
+UNKNOWN_TO_SAMPLER = 'untold'
+"""The fact that lists the runs whose results a search's sampler never receives."""
+_MAY_DIFFER = frozenset({
+    'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARM,
+    ARMS, ENGINE, AUDIT_PERCENT, UNTIL,
+})
+"""Facts that may differ on a resume: more runs may be requested; the digest covers the text;
+warnings differ between versions; another machine or version only causes a warning; both engines
+give the same rows and bags; a stop rule chooses no scene."""
+_WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
+"""The command that writes campaigns with a certain fact."""
 PERCEPTION_KEYS = ('perception', 'perception_sha256', 'timing')
 """The facts on perception and timing; all are empty until the graph has answered."""
 
@@ -72,91 +95,125 @@ def _shown(facts: Mapping[str, Any]) -> str:
     return f'{facts["perception"]} (sha256 {sha256[:12]}…)' if sha256 else facts['perception']
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class EarlierRuns:
-    """The completed part of a search.
-
-    Attributes:
-        rows: results of completed runs by index.
-        to_repeat: results by index of runs to repeat: they had an infrastructure error, were
-            interrupted, or their scenes were chosen without the result of such a run.
-        unknown_to_sampler: runs with an infrastructure error without whose results others, since
-            judged, were chosen; they may have been repeated. The chosen scenes are kept, so the
-            sampler never receives these results.
-        begun: number of runs started or done, counted from run 0.
-        facts: facts that are kept: number of runs planned at first, arms of the experiment,
-            perception if determined by the graph, and the runs unknown to the sampler.
-    """
-
-    rows: Mapping[int, RunRow] = field(default_factory=dict)
-    to_repeat: Mapping[int, RunRow] = field(default_factory=dict)
-    unknown_to_sampler: frozenset[int] = frozenset()
-    begun: int = 0
-    facts: Mapping[str, Any] = field(default_factory=dict)
-
-
-def earlier_runs(
-    out: Path, content: CampaignContent, facts: Mapping[str, Any]
-) -> EarlierRuns:
-    """The completed runs of a search to resume.
+def kept_facts(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """Facts of a campaign to resume that stay: of its graph, of its experiment, its first plan.
 
     Args:
-        out: folder of the campaign.
-        content: content of its record.
-        facts: facts of the search to resume.
-
-    Raises:
-        UsageError: another search was started there, or more runs were started than are requested
-            now.
+        before: recorded facts.
+        now: facts of the requested campaign, whose stop rule is added.
     """
-    of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
-    check_same_campaign(out, content, facts, of_graph)
-    lag = int(facts.get('sampler_lag', LAG))
-    unknown = _unknown_to_sampler(content.facts, content.rows, lag)
-    to_repeat = {row.index: row for row in _not_done(content.rows, unknown, lag)}
-    rows = {row.index: row for row in content.rows if row.index not in to_repeat}
-    begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
-    if begun > facts['runs']:
-        raise UsageError(
-            f'--runs {facts["runs"]}: {begun} were started in {out}; use at least that number'
-        )
-    kept = _kept_facts(content.facts, of_graph)
-    rules = [*recorded_rules(content.facts), *recorded_rules(facts)]
-    if rules:
-        kept[UNTIL] = list(dict.fromkeys(rules))
-    return EarlierRuns(
-        rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun,
-        facts={**kept, UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else kept,
-    )
+    kept = {
+        key: before[key] for key in (*undecided_facts(now), ARM, ARMS, 'first_runs')
+        if key in before
+    }
+    rules = [*recorded_rules(before), *recorded_rules(now)]
+    return {**kept, UNTIL: list(dict.fromkeys(rules))} if rules else kept
 
 
-def _unknown_to_sampler(
-    before: Mapping[str, Any], rows: Sequence[RunRow], lag: int
-) -> frozenset[int]:
-    """See :class:`EarlierRuns`. A run is chosen with the results up to ``lag`` runs before it."""
-    known = before.get(UNKNOWN_TO_SAMPLER, [])
+def undecided_facts(facts: Mapping[str, Any]) -> Sequence[str]:
+    """Names of the facts that are not known before the graph has answered."""
+    return () if facts['perception'] else PERCEPTION_KEYS
+
+
+def unknown_to_sampler(content: CampaignContent, lag: int) -> frozenset[int]:
+    """Runs with an infrastructure error without whose results others, since judged, were chosen.
+
+    They may have been repeated. The chosen scenes are kept, so the sampler never receives these
+    results.
+
+    Args:
+        content: content of the record.
+        lag: a run is chosen with the results up to so many runs before it.
+    """
+    rows = content.rows
     last = max((row.index for row in rows if row.outcome.judged), default=-1)
     broken = (row.index for row in rows if row.outcome is Outcome.INFRA_ERROR)
-    return frozenset([*known, *(index for index in broken if index + lag <= last)])
+    return frozenset([
+        *content.facts.get(UNKNOWN_TO_SAMPLER, []),
+        *(index for index in broken if index + lag <= last),
+    ])
 
 
-def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list[RunRow]:
-    """The rows of runs that must be repeated.
+def runs_to_repeat(
+    rows: Sequence[RunRow], unknown: Collection[int], lag: int
+) -> dict[int, RunRow]:
+    """The rows, by index, of a search's runs that must be repeated.
 
-    This includes rejected scenes, which may have been chosen without a result that is now
-    available. They need no run, and have the same result if nothing has changed.
+    They had an infrastructure error or were interrupted. This includes rejected scenes, which may
+    have been chosen without a result that is now available. They need no run, and have the same
+    result if nothing has changed.
+
+    Args:
+        rows: the rows of its record.
+        unknown: result of :func:`unknown_to_sampler`.
+        lag: as there.
     """
     broken = (
         row.index for row in rows
         if row.index not in unknown and (row.retries or row.outcome is Outcome.INFRA_ERROR)
     )
     sure = lag + min(broken, default=len(rows))
-    return [
-        row for row in rows if row.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
+    return {
+        row.index: row for row in rows
+        if row.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
         or (row.outcome is Outcome.REJECTED and row.index >= sure)
-    ]
+    }
 
 
-def _kept_facts(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
-    kept = {key: before[key] for key in (*of_graph, ARM, ARMS) if key in before}
-    return {**kept, 'first_runs': before['first_runs']} if 'first_runs' in before else kept
+def check_same_campaign(
+    out: Path, content: CampaignContent, facts: Mapping[str, Any], undecided: Collection[str] = ()
+) -> None:
+    """Check that a campaign to resume is the requested one.
+
+    Args:
+        out: folder of the campaign.
+        content: content of its record.
+        facts: facts of the requested campaign.
+        undecided: names of facts that are not yet known.
+
+    Raises:
+        UsageError: another campaign was started there.
+    """
+    if content.rows and not content.facts:
+        raise UsageError(
+            f'--resume: {out / RECORD_NAME}: has runs, but not what the campaign is; begin it '
+            'anew, with another --out'
+        )
+    if content.facts:
+        _check_same(out, content.facts, {
+            name: value for name, value in facts.items() if name not in undecided
+        })
+
+
+def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    now = plain(now)
+    for name, command in _WRITTEN_BY.items():
+        if name in now and name not in before:
+            raise UsageError(f'--resume: {out / RECORD_NAME}: not written by {command}')
+    _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
+    check_same_files(f'--resume: {out}', before, now)
+    for name in dict.fromkeys((*now, ODD)):
+        if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
+            raise UsageError(
+                f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
+                f'{short_json(now.get(name))}; repeat its options, or choose another --out'
+            )
+
+
+def _check_same_packages(
+    out: Path, before: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]
+) -> None:
+    for kind in before.keys() & now.keys():
+        one, other = before[kind], now[kind]
+        if one != other and one['name'] == other['name']:
+            raise UsageError(
+                f'--resume: {out} was begun with {package_words(kind, one)}, which is now of '
+                f'{other["distribution"]} {other["version"]} (sha256 {other["sha256"][:12]}…); put '
+                'the package back as it was, or name another --out'
+            )
+
+
+def short_json(value: Any) -> str:
+    """A fact for a message, as JSON, truncated if long."""
+    text = json.dumps(value)
+    return text if len(text) <= 80 else text[:79] + '…'

@@ -1,182 +1,87 @@
 """Shrinking of a failed run: a campaign whose scenes :mod:`.algorithm` chooses.
 
 Its folder is a campaign folder. The next run depends only on the results, so a resumed shrinking
-reads them from its record and continues. Runs without a verdict are repeated under their old
-numbers, so the table equals that of an uninterrupted one. The second half of the module reports the
-results for each parameter.
+takes those of earlier sessions by their scenes. Runs without a verdict are repeated under their old
+numbers, so the table equals that of an uninterrupted one.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
 
-from rich.table import Table
-from rich.text import Text
-
+from taxinet_ros.core.assurance.switch import check_controller
+from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
-from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.trials.record.book import CampaignBook, check_same_campaign
+from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.world import find_world
+from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.engine import Proposer, with_workers
+from taxinet_ros.trials.options import (
+    DEFAULT_ROOT,
+    CampaignOptions,
+    make_options,
+    new_folder,
+)
+from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import facts_of_runs
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.run_command import RunSettings
-from taxinet_ros.trials.shrink.algorithm import End, Point, ShrinkSearch, State
-from taxinet_ros.trials.shrink.options import PROGRAM, STEPS, Parameter, ShrinkOptions
-from taxinet_ros.trials.summary import participants_words, scene_words
+from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED, Point, ShrinkSearch
+from taxinet_ros.trials.shrink.space import STEPS, ShrinkSpace, make_shrink_space
+
+PROGRAM = 'shrink'
+"""Program name of runs without a program, in run names and in the table."""
 
 
-class Shrinking:
-    """Requests runs and records their results; a context manager.
+class Shrinking(Proposer):
+    """Proposes the scenes that a failed run is shrunk with.
 
     Attributes:
-        options: options of the shrinking.
+        run: the failed run.
+        space: the scenarios that may be run.
+        headline: name of the formula that must stay violated.
         search: search state.
-        rows: one row per completed run, including earlier ones, in the order in which they were
-            needed or ended.
-        broken: the run with a permanent infrastructure error, or None.
-        interrupted: whether :meth:`interrupt` was called.
-        book: the shrinking on disk.
+        judged: the judged run of each point asked for.
     """
 
-    def __init__(
-        self, options: ShrinkOptions, participants: tuple[str, ...],
-        on_row: Callable[[RunRow], None] = lambda row: None,
-    ) -> None:
-        """Create the shrinking; nothing is written before the ``with``.
+    patience, runs = 1, None
+
+    def __init__(self, run: JudgedRun, space: ShrinkSpace, campaign: CampaignOptions) -> None:
+        """Create it; nothing is written.
 
         Args:
-            options: options of the shrinking.
-            participants: names of the nodes in every run.
-            on_row: called with each new row once it is on disk; not with earlier ones.
+            run: the failed run.
+            space: the scenarios that may be run.
+            campaign: options of the runs; ``runs`` limits those of the search.
         """
-        self.options = options
+        self.run, self.space, self.campaign = run, space, campaign
+        self.headline = campaign.judging.headline
+        self.source: AbstractContextManager[None] = contextlib.nullcontext()
         self.search = ShrinkSearch(
-            [one.axis for one in options.space.moving], most=options.campaign.runs,
-            rule=options.space.possible,
+            [one.axis for one in space.moving], most=campaign.runs, rule=space.possible
         )
-        self.rows: list[RunRow] = []
-        self.broken: RunRow | None = None
-        self.interrupted = False
-        self._campaign = options.campaign
-        self.book = CampaignBook(self._campaign, participants, on_row, resume=options.resume)
-        self._earlier: dict[str, RunRow] = {}
-        self._by_point: dict[Point, RunRow] = {}
-        self._under_way: dict[int, Point] = {}
+        self.judged: dict[Point, RunRow] = {}
+        self._points: dict[int, Point] = {}
+        self._numbers: dict[str, int] = {}
         self._broken_before: dict[str, int] = {}
         self._undone: list[int] = []
         self._next = 0
 
-    def __enter__(self) -> Self:
-        """Create the folder, or check that it contains this shrinking.
-
-        Raises:
-            UsageError: the folder cannot be used, or contains something else.
-        """
-        facts = self._facts()
-        with contextlib.ExitStack() as opened:
-            opened.enter_context(self.book)
-            check_same_campaign(self._campaign.out, self.book.earlier, facts)
-            self._take_up(self.book.earlier)
-            self.book.begin(facts)
-            opened.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Write the table of the rows so far, even after an error."""
-        self.book.complete = not self.interrupted and self.search.state.end is not End.NOT_YET
-        self.book.__exit__(kind, error, trace)
-
-    def next(self) -> RunRequest | None:
-        """The next run to start; None if none is ready or the search has ended."""
-        if self.interrupted or self.broken is not None:
-            return None
-        if (request := self.book.next_retry()) is not None:
-            return request
-        while (point := self._next_point()) is not None:
-            row = self._earlier.get(self._key(point))
-            if row is None:
-                return self._begin(point)
-            self._remember(point, row)
-        return None
-
-    def take(self, request: RunRequest, result: RunResult) -> None:
-        """Record one result; an infrastructure error is retried once, then ends the shrinking."""
-        if self.book.second_chance(request, result):
-            return
-        index = request.index
-        key = self._key(self._under_way[index])
-        row = self.book.finished_row(request, result).with_choice(
-            sampler=PROGRAM, point={}, weight=None,
-            retries=self._broken_before.get(key, 0) + self.book.was_retried(index),
-        )
-        point = self._under_way.pop(index)
-        if row.outcome.judged:
-            self._remember(point, row)
-        elif row.outcome is Outcome.INTERRUPTED:
-            self.interrupted = True
-        else:
-            self.broken = row
-        self.book.keep(row)
-
-    def interrupt(self) -> None:
-        """Request no more runs or retries; safe to call from a signal handler."""
-        self.interrupted = True
-
-    def row(self, point: Point) -> RunRow | None:
-        """The judged run of a point, or None."""
-        return self._by_point.get(point)
-
-    def _next_point(self) -> Point | None:
-        """The most urgent point that is not in flight, or one that may be needed later."""
-        under_way = set(self._under_way.values())
-        wanted = self.search.wanted(len(under_way) + 1)
-        return next((point for point in wanted if point not in under_way), None)
-
-    def _begin(self, point: Point) -> RunRequest:
-        if self._undone:
-            index = self._undone.pop(0)
-        else:
-            index, self._next = self._next, self._next + 1
-        scenario = self.options.space.scenario(point)
-        request = self.book.begin_run(index, scenario)
-        self._under_way[index] = point
-        return request
-
-    def _remember(self, point: Point, row: RunRow) -> None:
-        self.rows.append(row)
-        self._by_point[point] = row
-        self.search.tell(point, row.rho[self.options.headline])
-
-    def _key(self, point: Point) -> str:
-        return json.dumps(self.options.space.scenario(point).to_human())
-
-    def _take_up(self, content: CampaignContent) -> None:
-        """Load earlier results, and the runs that they left unfinished."""
-        known = (*content.unfinished, *(row.index for row in content.rows))
-        self._next = 1 + max(known, default=-1)
-        self._earlier = {_scene(row): row for row in content.rows if row.outcome.judged}
-        undone = [row for row in content.rows if not row.outcome.judged]
-        judged = {row.index for row in content.rows if row.outcome.judged}
-        self._undone = sorted(set(range(self._next)) - judged)
-        self._broken_before = {
-            _scene(row): row.retries + (row.outcome is Outcome.INFRA_ERROR) for row in undone
-        }
-
-    def _facts(self) -> dict[str, Any]:
-        space, perception = self.options.space, self._campaign.perception
-        return facts_of_runs(self._campaign, {
+    def prepare(self) -> dict[str, Any]:
+        """See :class:`.Proposer`."""
+        space, perception = self.space, self.campaign.perception
+        return facts_of_runs(self.campaign, {
             'program': PROGRAM,
-            'shrinks': self.options.run.run_id,
+            'shrinks': self.run.run_id,
             'original': space.original.to_human(),
             'nominal': space.nominal.to_human(),
             'parameters': [one.key for one in space.parameters],
@@ -184,195 +89,158 @@ class Shrinking:
             'perception_sha256': check_perception(perception, graph=True),
         })
 
+    def resume(self, content: CampaignContent) -> tuple[Iterable[RunRow], Mapping[str, Any]]:
+        """See :class:`.Proposer`."""
+        self._next = content.begun
+        done = [row for row in content.rows if row.outcome.judged]
+        self._numbers = {_key(row.scene): row.index for row in done}
+        self._undone = sorted(set(range(self._next)) - {row.index for row in done})
+        self._broken_before = {
+            _key(row.scene): row.retries + (row.outcome is Outcome.INFRA_ERROR)
+            for row in content.rows if not row.outcome.judged
+        }
+        return done, {}
 
-def _scene(row: RunRow) -> str:
-    """Key of a run's scene, see :meth:`Shrinking._key`."""
-    return json.dumps(row.scene)
+    def stop_reason(self, rows: Sequence[RunRow]) -> str:
+        """See :class:`.Proposer`."""
+        return self.search.state.end.value
 
+    def propose(self) -> int | None:
+        """The number of the most urgent point not in flight, or of one that may be needed later."""
+        under_way = set(self._points.values()) - self.judged.keys()
+        wanted = self.search.wanted(len(under_way) + 1)
+        point = next((point for point in wanted if point not in under_way), None)
+        if point is None:
+            return None
+        index = self._numbers.get(_key(self.space.scenario(point).to_human()))
+        if index is None and self._undone:
+            index = self._undone.pop(0)
+        elif index is None:
+            index, self._next = self._next, self._next + 1
+        self._points[index] = point
+        return index
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Finding:
-    """Result for one parameter, in human units; None for values that were not run.
+    def scene(self, index: int) -> Scenario:
+        """See :class:`.Proposer`."""
+        return self.space.scenario(self._points[index])
 
-    Attributes:
-        key: name of the parameter.
-        original, nominal, shrunk: its value in the failed, the nominal and the shrunk scenario.
-        rho_in_original, rho_in_shrunk: robustness of either with this parameter set to nominal.
-        passes_at: the value one step nearer to nominal than ``shrunk``, if it passes.
-        rho_passes_at: robustness there, above 0.
-    """
-
-    key: str
-    original: Any
-    nominal: Any
-    shrunk: Any
-    rho_in_original: float | None = None
-    rho_in_shrunk: float | None = None
-    passes_at: Any = None
-    rho_passes_at: float | None = None
-
-    @property
-    def off_nominal(self) -> bool:
-        """Whether it differs from nominal in the shrunk scenario."""
-        return bool(self.shrunk != self.nominal)
-
-    @property
-    def matters(self) -> bool | None:
-        """Whether the shrunk scenario passes with it at nominal; None if that was not run."""
-        if not self.off_nominal:
-            return False
-        return None if self.rho_in_shrunk is None else self.rho_in_shrunk > 0
-
-    def words(self, value: Any) -> str:
-        """A value of the parameter, with its unit."""
-        return BY_KEY[self.key].value_words(value)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Report:
-    """Result of a shrinking.
-
-    Attributes:
-        state: progress of the search, and why it ended.
-        findings: one for each parameter.
-        scenario: the shrunk scenario.
-        original, nominal, shrunk: rows of the three runs; None if missing.
-        dry: whether nominal clouds also remove the rain, since no rain falls from that sky.
-    """
-
-    state: State
-    findings: tuple[Finding, ...]
-    scenario: Scenario
-    original: RunRow | None
-    nominal: RunRow | None
-    shrunk: RunRow | None
-    dry: bool
-
-
-def make_report(shrinking: Shrinking) -> Report:
-    """Report of the results so far."""
-    space, search = shrinking.options.space, shrinking.search
-    state = search.state
-    axes = {one.key: number for number, one in enumerate(space.moving)}
-    return Report(
-        state=state,
-        findings=tuple(
-            _finding(shrinking, one, axes[one.key], state.at) if one.key in axes
-            else Finding(key=one.key, original=one.values[0], nominal=one.values[0],
-                         shrunk=one.values[0])
-            for one in space.parameters
-        ),
-        scenario=space.scenario(state.at),
-        original=shrinking.row(search.start), nominal=shrinking.row(search.origin),
-        shrunk=shrinking.row(state.at),
-        dry=space.original.rain_fraction > 0 and space.nominal.clouds not in RAIN_CLOUDS,
-    )
-
-
-def _finding(shrinking: Shrinking, one: Parameter, axis: int, at: Point) -> Finding:
-    search, steps = shrinking.search, at[axis]
-    beside = search.rho(search.moved(at, axis, steps - 1)) if steps else None
-    passes = beside if beside is not None and beside > 0 else None
-    return Finding(
-        key=one.key, original=one.values[-1], nominal=one.values[0], shrunk=one.values[steps],
-        rho_in_original=search.rho(search.moved(search.start, axis, 0)),
-        rho_in_shrunk=search.rho(search.moved(at, axis, 0)) if steps else None,
-        passes_at=None if passes is None else one.values[steps - 1], rho_passes_at=passes,
-    )
-
-
-_MATTERS = {
-    True: Text('matters', style='bold red'), False: Text('does not matter', style='dim'),
-    None: Text('not known', style='dim'),
-}
-
-
-def shrink_heading(options: ShrinkOptions) -> str:
-    """Heading that describes the shrinking."""
-    campaign, run = options.campaign, options.run
-    workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
-    workers = f'cluster {options.cluster}' if options.cluster else workers
-    verb = 'resuming to shrink' if options.resume else 'shrinking'
-    interval = run.robustness.get(options.headline)
-    rho = f', {interval.bound_words()}' if interval else ''
-    return (
-        f'{verb} {run.run_id} ({options.headline}{rho}), {participants_words(campaign)}, '
-        f'{workers} -> {campaign.out}'
-    )
-
-
-def parameter_table(report: Report) -> Table:
-    """Every parameter with its three values, and whether it matters."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column('parameter', no_wrap=True)
-    for name in ('original', 'nominal', 'shrunk', 'rho in\noriginal', 'rho in\nshrunk'):
-        table.add_column(name, justify='right', no_wrap=True)
-    table.add_column('verdict', no_wrap=True)
-    for one in report.findings:
-        verdict = _MATTERS[one.matters]
-        if one.original == one.nominal:
-            verdict = Text('nominal already', style='dim')
-        table.add_row(
-            one.key, one.words(one.original), one.words(one.nominal), one.words(one.shrunk),
-            _rho(one.rho_in_original), _rho(one.rho_in_shrunk), verdict,
+    def completed(self, row: RunRow) -> RunRow:
+        """See :class:`.Proposer`."""
+        return row.with_choice(
+            sampler=PROGRAM, point={}, weight=None,
+            retries=self._broken_before.get(_key(row.scene), 0),
         )
-    return table
+
+    def take(self, row: RunRow) -> None:
+        """See :class:`.Proposer`."""
+        if row.outcome.judged:
+            point = self._points[row.index]
+            self.judged[point] = row
+            self.search.tell(point, row.rho[self.headline])
 
 
-def finding_lines(report: Report) -> list[str]:
-    """Lines that explain the table and where the failure begins."""
-    lines = ['rho in original, in shrunk: of that run with this one parameter made nominal']
-    if report.dry:
-        lines[0] += ' (a clear sky is dry too)'
-    for one in report.findings:
-        if one.matters and one.passes_at is not None and one.rho_passes_at is not None:
-            lines.append(f'{one.key}: {edge_words(one)}')
-        if one.matters and one.rho_in_original is not None and one.rho_in_original <= 0:
-            lines.append(f'{one.key}: the original fails without it too, so it has another cause')
-    return lines
+def make_shrinking(
+    path: Path, *, runs: int, out: Path | None, perception: str | None = None,
+    controller: str | None = None, specs: Sequence[str] = (), nominal: Sequence[str] = (),
+    images: str = 'none', resume: bool = False, workers: int = 1, cluster: str | None = None,
+    **others: Any,
+) -> Shrinking:
+    """Check what a user asks for; what is not named here is as in :func:`.make_options`.
+
+    Args:
+        path: folder of the failed run.
+        runs: maximum number of runs of the search.
+        out: as there.
+        perception: perception, if not the run's.
+        controller: controller, if not the run's.
+        specs: formulas as text; the run's if empty.
+        nominal: ``key=value`` of the nominal scenario.
+        images: record ``all`` or ``none`` of the camera frames.
+        resume: as there.
+        workers: see :func:`.with_workers`.
+        cluster: likewise.
+        others: engine and audit.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    if runs < LEAST_ASKED:
+        raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
+    run = find_run(path)
+    _check_repeatable(path, run)
+    _check_failed(path, run, other_specs=bool(specs))
+    space = make_shrink_space(run.scenario, nominal)
+    if out is None and not resume:
+        out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
+    campaign = make_options(
+        program=PROGRAM, runs=runs, seed=run.seed, out=out, images=images, resume=resume,
+        perception=_perception(run) if perception is None else perception,
+        controller=controller or _controller(run), specs=specs or run.specs, world=run.world,
+        **others,
+    )
+    gains = dict(run.gains) if campaign.controller == STEERING else {}
+    campaign = dataclasses.replace(campaign, gains=gains, timing=run.timing)
+    return Shrinking(run, space, with_workers(campaign, workers, cluster))
 
 
-def edge_words(one: Finding) -> str:
-    """Text on where the failure begins along one parameter, others as in the shrunk run."""
-    fails, passes = one.words(one.shrunk), one.words(one.passes_at)
-    return f'{fails} fails, {passes} passes (rho {one.rho_passes_at:+.2f})'
-
-
-def off_nominal(report: Report) -> str:
-    """Short description of the shrunk scenario: its parameters that are not nominal."""
-    words = [
-        f'{one.key} {one.words(one.shrunk)}' for one in report.findings if one.off_nominal
-    ]
-    return ', '.join(words) or 'everything nominal'
-
-
-def result_lines(report: Report, options: ShrinkOptions, runs: int, wall_s: float) -> list[str]:
-    """Lines on how the shrinking ended and its cost."""
-    lines = [_ended(report)] if report.state.end is not End.MINIMAL else []
-    if report.shrunk is not None:
-        rho = report.shrunk.rho[options.headline]
-        lines.append(
-            f'shrunk: run {report.shrunk.index}, rho {rho:+.2f}: {scene_words(report.shrunk)}'
+def _check_repeatable(path: Path, run: JudgedRun) -> None:
+    why = f'a free run: {NOT_REPRODUCIBLE}' if run.timing.free else ''
+    way_out = '; shrink a run that failed with --latency' if why else ''
+    if not why:
+        try:
+            why = find_world(run.world, run.world_fingerprint).again_words
+        except UsageError as error:
+            raise UsageError(f'{run.run_id}: {error}') from error
+    if why:
+        raise UsageError(
+            f'{path}: {why}, so nothing tells a scenario that matters from chance{way_out}'
         )
-    ahead = runs - report.state.asked
-    guesses = f' ({ahead} of them ahead on a guess)' if ahead > 0 else ''
-    took = ' in all' if options.resume else f' in {wall_s:.0f} s'
-    lines.append(f'{runs} runs{guesses}{took}')
-    return lines
 
 
-def run_command(options: ShrinkOptions, program: str) -> str:
-    """Shell command to run the shrunk scenario."""
-    return RunSettings.of_options(options.campaign).command(program)
+def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
+    if not run.outcome.judged:
+        raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
+    if other_specs:
+        return
+    interval = run.robustness.get(run.headline)
+    if interval is not None and interval.satisfied:
+        raise UsageError(
+            f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
+            'failed, or with --spec what it failed'
+        )
 
 
-def _rho(value: float | None) -> str:
-    return '' if value is None else f'{value:+.2f}'
+def _perception(run: JudgedRun) -> str:
+    """The perception that failed."""
+    try:
+        now = check_perception(run.perception, graph=True)
+    except UsageError as error:
+        raise UsageError(f'{run.run_id}: {error}; say with --perception where it is') from error
+    if now != run.fingerprint and not is_node_elsewhere(run.perception):
+        raise UsageError(
+            f'{run.run_id}: perception {run.perception} is {now[:12] or "without weights"} now, it '
+            f'was {run.fingerprint[:12] or "without weights"}; --perception {run.perception} takes '
+            'it as it is'
+        )
+    return run.perception
 
 
-def _ended(report: Report) -> str:
-    if report.state.end is End.NOMINAL_FAILS:
-        return 'the nominal scenario fails itself, so no parameter matters; see --nominal'
-    if report.state.end is End.SPENT:
-        return 'ended before it was minimal: --runs are spent; --resume with more goes on'
-    return 'ended before it was minimal; --resume goes on'
+def _controller(run: JudgedRun) -> str:
+    """Controller of the failed run."""
+    try:
+        now = check_controller(run.controller, graph=True)
+    except UsageError as error:
+        raise UsageError(
+            f'{run.run_id}: {error}; say with --controller what to steer with'
+        ) from error
+    if now != run.controller_fingerprint and not is_node_elsewhere(run.controller):
+        raise UsageError(
+            f'{run.run_id}: controller {run.controller} is {now[:12]} now, it was '
+            f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
+        )
+    return run.controller
+
+
+def _key(scene: Mapping[str, Any]) -> str:
+    """Key of a scene in human units."""
+    return json.dumps(scene)

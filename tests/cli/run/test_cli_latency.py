@@ -15,13 +15,13 @@ from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.nodes.graph.runner import campaign_graph
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import make_options
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
-from taxinet_ros.trials.record.resumption import earlier_runs
+from taxinet_ros.trials.record.resumption import check_same_campaign
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.shrink.options import make_shrink_options
-from taxinet_ros.trials.shrink.shrinking import Shrinking
+from taxinet_ros.trials.shrink.shrinking import make_shrinking
 
 pytestmark = pytest.mark.ros
 
@@ -65,10 +65,10 @@ def test_r5_given_two_workers_then_every_run_is_that_of_the_loop_in_one_process(
 def test_r5_given_another_latency_then_resume_refuses_it_by_name(folder):
     content = read_campaign(folder / 's')
     facts = content.facts
-    assert len(earlier_runs(folder / 's', content, facts).rows) == 3
+    check_same_campaign(folder / 's', content, facts)
     for other in ('', 'latency perception=0.9'):
         with pytest.raises(UsageError, match='was begun with timing "latency perception=normal'):
-            earlier_runs(folder / 's', content, {**facts, 'timing': other})
+            check_same_campaign(folder / 's', content, {**facts, 'timing': other})
 
 
 def test_r5_given_a_run_with_latency_when_run_again_then_it_is_the_same_to_the_bit(folder):
@@ -95,13 +95,12 @@ def test_r5_given_failures_with_latency_when_localized_then_the_control_fails_as
 
 
 def test_r5_given_a_failed_run_when_shrunk_then_every_run_has_its_draws(folder):
-    options = make_shrink_options(
-        folder / 's' / 'nominal-s0-00001', perception=None, specs=(), nominal=(), runs=100,
-        workers=1, out=folder / 'small', resume=False, images='none',
+    shrinking = make_shrinking(
+        folder / 's' / 'nominal-s0-00001', runs=100, out=folder / 'small'
     )
-    assert options.campaign.timing.words == f'{WORDS} draws=0.1'
-    system = options.campaign.system('', '')
-    assert campaign_graph(options.campaign, system).timing == options.campaign.timing
-    with Shrinking(options, PARTICIPANTS) as shrinking:
-        assert shrinking.next() is not None
+    campaign = shrinking.campaign
+    assert campaign.timing.words == f'{WORDS} draws=0.1'
+    assert campaign_graph(campaign, campaign.system('', '')).timing == campaign.timing
+    with Engine(shrinking, PARTICIPANTS) as engine:
+        assert engine.next() is not None
     assert read_facts(folder / 'small')['timing'] == f'{WORDS} draws=0.1'

@@ -23,9 +23,9 @@ from taxinet_ros.extras.tune.tuning import (
     varied_gains,
 )
 from taxinet_ros.files.record import RECORD_NAME, read_record
-from taxinet_ros.trials.options import DEFAULT_JUDGING
 from taxinet_ros.trials.past_runs.shared_scenes import SceneSet, scenes_of_program
 from taxinet_ros.trials.past_runs.trials import Trial
+from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 
 
 def trial(number: int, rho: float | None) -> Trial:

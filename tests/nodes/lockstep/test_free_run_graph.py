@@ -21,7 +21,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.trials.past_runs.judged_run import find_run
-from taxinet_ros.trials.shrink.options import make_shrink_options
+from taxinet_ros.trials.shrink.shrinking import make_shrinking
 
 pytestmark = pytest.mark.ros
 
@@ -137,8 +137,9 @@ def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slo
     _, bag = slow
     assert find_run(bag).timing.free
     with pytest.raises(UsageError, match='a free run: free runs depend on the speed'):
-        make_shrink_options(bag, perception='truth', specs=('phi_always',), nominal=(), runs=100,
-                            workers=1, out=tmp_path / 'never', resume=False, images='none')
+        make_shrinking(
+            bag, perception='truth', specs=('phi_always',), runs=100, out=tmp_path / 'never'
+        )
     with pytest.raises(UsageError, match='a free run, whose unanswered frames'):
         run_replay(
             open_recording(bag), 'perception', perception='truth', controller=None,

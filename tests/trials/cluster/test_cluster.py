@@ -26,11 +26,11 @@ from taxinet_ros.trials.cluster import connection
 from taxinet_ros.trials.cluster.connection import check_cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.cluster.task import OUT
+from taxinet_ros.trials.engine import Engine, RunSource, run_search
 from taxinet_ros.trials.record.facts import STACKS, read_facts
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_options import SearchOptions
-from taxinet_ros.trials.worker_pool import RunSource, WorkerPool, run_search
+from taxinet_ros.trials.worker_pool import WorkerPool
 
 pytestmark = [
     pytest.mark.nightly,
@@ -43,7 +43,7 @@ SCALING = Path(__file__).parents[3] / 'docs' / 'scaling.md'
 # openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 36500
 CERTIFICATE = Path(__file__).parents[2] / 'data' / 'tls.pem'
 RUNS = 40
-Acts = dict[int, Callable[[Search], object]]
+Acts = dict[int, Callable[[Engine[Search]], object]]
 
 
 @pytest.fixture(autouse=True, scope='module')
@@ -71,7 +71,7 @@ def here(tmp_path: Path) -> Callable[..., Path]:
     """What makes the campaign with the local pool, for comparison."""
     def make(**changes: Any) -> Path:
         chosen = options(tmp_path / 'here', **changes)
-        with Search(chosen, ('perception',)) as search, WorkerPool(
+        with Engine(chosen, ('perception',)) as search, WorkerPool(
             [sys.executable, str(TOY), str(chosen.campaign.out), str(tmp_path)],
             min(2, chosen.lag), chosen.campaign.out / 'logs',
         ) as pool:
@@ -81,14 +81,14 @@ def here(tmp_path: Path) -> Callable[..., Path]:
     return make
 
 
-def options(out: Path, **changes: Any) -> SearchOptions:
+def options(out: Path, **changes: Any) -> Search:
     return toy.options(out, **{'runs': RUNS, **changes})
 
 
 class Watched:
     """A search that does something once so many of its runs are recorded."""
 
-    def __init__(self, search: Search, acts: Acts) -> None:
+    def __init__(self, search: Engine[Search], acts: Acts) -> None:
         self.search, self._acts = search, acts
 
     @property
@@ -106,13 +106,13 @@ class Watched:
 
 def there(
     where: str, out: Path, told: list[str], acts: Acts | None = None, **changes: Any
-) -> Search:
+) -> Engine[Search]:
     """Make the campaign on a cluster."""
     chosen = options(out, cluster=where, **changes)
     acts, kept = acts or {}, list[int]()
     with (
         campaign_cluster(chosen.campaign, where, tell=told.append) as cluster,
-        Search(chosen, ('perception',), lambda row: kept.append(row.index)) as search,
+        Engine(chosen, ('perception',), lambda row: kept.append(row.index)) as search,
         ClusterPool(
             cluster, [sys.executable, str(TOY), OUT, str(out.parent)], out,
             on_machine=search.book.add_machine,
@@ -155,13 +155,13 @@ def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
     file, pace, out = tmp_path / 'scheduler.json', tmp_path / 'pace', tmp_path / 'there'
     file.write_text(f'{{"address": "{processes.address}"}}')
     pace.write_text('0.05')
-    ended = there(check_cluster(str(file)), out, [], {12: Search.interrupt})
+    ended = there(check_cluster(str(file)), out, [], {12: Engine.interrupt})
     assert ended.interrupted
     assert 12 <= len(read_table(out)) < RUNS
     assert set(read_table(out)['outcome']) <= {'PASS', 'FAIL', 'REJECTED'}
     pace.unlink()
     chosen = options(out, resume=True)
-    with Search(chosen, ('perception',)) as search, WorkerPool(
+    with Engine(chosen, ('perception',)) as search, WorkerPool(
         [sys.executable, str(TOY), str(out), str(tmp_path)], 2, out / 'logs'
     ) as pool:
         run_search(search, pool)
@@ -272,7 +272,7 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     with (
         pytest.raises(InfraError, match='has another perception now'),
         campaign_cluster(chosen.campaign, processes.address, tell=told.append) as cluster,
-        Search(chosen, ('perception',)) as search,
+        Engine(chosen, ('perception',)) as search,
         ClusterPool(
             cluster, [sys.executable, str(TOY), OUT, str(tmp_path)], out,
             fingerprint='1' * 64,

@@ -14,8 +14,8 @@ from taxinet_ros.trials.odd.odd_file import Odd, read_odd
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.search import search_summary
-from taxinet_ros.trials.search_options import make_search_options
+from taxinet_ros.trials.search import make_search
+from taxinet_ros.trials.search_summary import search_summary
 
 TEXT = """
 name: toy
@@ -97,11 +97,9 @@ def write(folder: Path, text: str) -> Path:
 def test_given_options_without_effect_then_they_are_refused_by_name(tmp_path, odd):
     campaign = CampaignOptions(program='nominal', runs=3, seed=0, perception='truth',
                                out=tmp_path / 'out')
-    usual = {'workers': 1, 'resume': False, 'until': None, 'budget_min': None, 'odd': 's_falsif'}
-
     def make(sampler, *sampler_options):
-        return make_search_options(
-            campaign, sampler=sampler, sampler_options=sampler_options, **usual
+        return make_search(
+            campaign, sampler=sampler, sampler_options=sampler_options, odd='s_falsif'
         )
 
     assert make('coverage', 'strength=3').odd.name == 's_falsif'

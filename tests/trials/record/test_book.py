@@ -16,12 +16,12 @@ from own_place import OWN_PLACE
 from taxinet_ros.cli import main as cli
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
-from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import CampaignOptions
-from taxinet_ros.trials.record.book import CampaignBook, check_same_campaign
+from taxinet_ros.trials.record.book import CampaignBook, finished_row, rejected_row
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import facts_of_runs
+from taxinet_ros.trials.record.resumption import check_same_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import CSV_NAME, read_table
 
@@ -39,20 +39,10 @@ def goes_on(options: CampaignOptions) -> CampaignBook:
     return CampaignBook(options, ('perception',), resume=True)
 
 
-def run(
-    book: CampaignBook, index: int, *broken: bool, scene: Scenario = SCENE
-) -> Outcome:
-    """Run one scene to its row; ``broken`` says of each attempt whether the bench broke it."""
+def run(book: CampaignBook, index: int, scene: Scenario = SCENE) -> None:
+    """Run one scene to its row."""
     request = book.begin_run(index, scene)
-    for breaks in (*broken, False):
-        result = toy.result(request, Outcome.INFRA_ERROR if breaks else None)
-        if not book.second_chance(request, result):
-            break
-        again = book.next_retry()
-        assert again is not None
-        request = again
-    book.keep(book.finished_row(request, result))
-    return result.outcome
+    book.keep(finished_row(book.options, request, toy.result(request)))
 
 
 def test_given_a_new_book_then_facts_starts_results_and_the_table_are_kept_in_step(tmp_path):
@@ -66,8 +56,8 @@ def test_given_a_new_book_then_facts_starts_results_and_the_table_are_kept_in_st
         assert read_campaign(options.out).unfinished == (0,)
         with pytest.raises(UsageError, match='another command is writing to it'):
             goes_on(options).__enter__()
-        book.keep(book.finished_row(request, toy.result(request)))
-        book.keep(book.rejected_row(1, 'no scene meets the requirements'))
+        book.keep(finished_row(book.options, request, toy.result(request)))
+        book.keep(rejected_row(book.options, 1, 'no scene meets the requirements'))
         content = read_campaign(options.out)
         assert (content.unfinished, content.finished) == ((), False)
         assert shown == list(book.rows.values()) == list(content.rows)
@@ -75,25 +65,6 @@ def test_given_a_new_book_then_facts_starts_results_and_the_table_are_kept_in_st
     assert list(read_table(options.out)['outcome']) == ['PASS', 'REJECTED']
     with pytest.raises(UsageError, match='already exists'), CampaignBook(options, ()):
         pass
-
-
-def test_given_a_run_that_breaks_then_it_has_one_second_chance_and_its_folder_is_kept_aside(
-    tmp_path
-):
-    options = dataclasses.replace(OPTIONS, out=tmp_path)
-    with CampaignBook(options, ('perception',)) as book:
-        book.begin(facts(options))
-        (tmp_path / 'scenes-s3-00000').mkdir()
-        assert run(book, 0, True) is Outcome.PASS
-        assert (tmp_path / 'scenes-s3-00000.broken-1').is_dir()
-        assert (book.was_retried(0), book.broken_in_a_row) == (True, 0)
-        assert run(book, 1, True, True) is Outcome.INFRA_ERROR
-        assert run(book, 2, True, True) is Outcome.INFRA_ERROR
-        assert book.broken_in_a_row == 2
-        book.keep(book.rejected_row(3, 'the bench had no part in it'))
-        assert book.broken_in_a_row == 2
-        assert book.next_retry() is None
-    assert read_campaign(tmp_path).attempts == {0: 2, 1: 2, 2: 2}
 
 
 _READ = """

@@ -24,19 +24,14 @@ from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.scenes.source import sample_scenarios
+from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.past_runs.judged_run import find_run
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.trials.shrink.algorithm import End
-from taxinet_ros.trials.shrink.options import (
-    ShrinkOptions,
-    make_shrink_options,
-    make_shrink_space,
-)
-from taxinet_ros.trials.shrink.shrinking import (
+from taxinet_ros.trials.shrink.report import (
     Report,
-    Shrinking,
     _finding,
     finding_lines,
     make_report,
@@ -44,6 +39,8 @@ from taxinet_ros.trials.shrink.shrinking import (
     result_lines,
     run_command,
 )
+from taxinet_ros.trials.shrink.shrinking import Shrinking, make_shrinking
+from taxinet_ros.trials.shrink.space import make_shrink_space
 
 NAME = 'phi_eventually'
 WET = Scenario(
@@ -80,21 +77,19 @@ def campaign(folder: Path, scenario: Scenario = WET, **changes: Any) -> Path:
     return folder / request.run_id
 
 
-def options(path: Path, out: Path, **changes: Any) -> ShrinkOptions:
-    return make_shrink_options(path, **{
-        'perception': None, 'specs': (), 'nominal': (), 'runs': 100, 'workers': 1, 'out': out,
-        'resume': False, 'images': 'none', **changes,
-    })
+def options(path: Path, out: Path, **changes: Any) -> Shrinking:
+    return make_shrinking(path, **{'runs': 100, 'out': out, **changes})
 
 
-def drive(chosen: ShrinkOptions, judge: Judge = judged, most: int = 1000) -> Shrinking:
+def drive(chosen: Shrinking, judge: Judge = judged, most: int = 1000) -> Engine[Shrinking]:
     """Run it as so many workers would, the newest run ending first; interrupt it after ``most``."""
-    with Shrinking(chosen, ('perception',)) as shrinking:
+    with Engine(chosen, ('perception',)) as shrinking:
         under_way: list[RunRequest] = []
+        at_once = chosen.campaign.workers
         while True:
             if most <= 0:
                 shrinking.interrupt()
-            while len(under_way) < chosen.workers and (request := shrinking.next()) is not None:
+            while len(under_way) < at_once and (request := shrinking.next()) is not None:
                 (chosen.campaign.out / request.run_id).mkdir()
                 under_way.append(request)
             if not under_way:
@@ -104,8 +99,8 @@ def drive(chosen: ShrinkOptions, judge: Judge = judged, most: int = 1000) -> Shr
             shrinking.take(request, result)
 
 
-def shrunk(shrinking: Shrinking) -> dict[str, Any]:
-    return {one.key: one.shrunk for one in make_report(shrinking).findings}
+def shrunk(shrinking: Engine[Shrinking]) -> dict[str, Any]:
+    return {one.key: one.shrunk for one in make_report(shrinking.proposer).findings}
 
 
 NEAREST = {
@@ -120,7 +115,7 @@ def test_given_a_failed_run_then_what_matters_is_found_and_every_run_is_on_recor
 ):
     out = tmp_path / 'out'
     shrinking = drive(options(campaign(tmp_path / 'c'), out, workers=workers))
-    found = make_report(shrinking)
+    found = make_report(shrinking.proposer)
     assert shrunk(shrinking) == NEAREST
     assert found.state.end is End.MINIMAL
     matters = {one.key: (one.passes_at, one.matters) for one in found.findings}
@@ -147,13 +142,13 @@ def test_given_an_interrupt_when_resumed_then_nothing_is_run_twice_and_the_resul
     path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
     whole = drive(options(path, tmp_path / 'whole'))
     begun = drive(options(path, out, workers=2), most=6)
-    assert make_report(begun).state.end is End.NOT_YET
+    assert make_report(begun.proposer).state.end is End.NOT_YET
     assert begun.interrupted
     rows = read_campaign(out).rows
     assert sum(row.outcome is Outcome.INTERRUPTED for row in rows) == 1
     done = drive(options(path, out, resume=True))
     assert shrunk(done) == shrunk(whole) == NEAREST
-    assert make_report(done).state == make_report(whole).state
+    assert make_report(done.proposer).state == make_report(whole.proposer).state
     scenes = [json.dumps(row.to_json(), default=str) for row in done.rows]
     assert len(scenes) == len(set(scenes))
     judged_rows = [row for row in read_campaign(out).rows if row.outcome.judged]
@@ -163,9 +158,10 @@ def test_given_an_interrupt_when_resumed_then_nothing_is_run_twice_and_the_resul
 def test_given_few_runs_then_more_may_be_asked_for_on_resumption(tmp_path):
     path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
     few = drive(options(path, out, runs=9))
-    assert make_report(few).state.end is End.SPENT
+    found = make_report(few.proposer)
+    assert found.state.end is End.SPENT
     assert len(few.rows) == 9
-    assert '--runs are spent' in result_lines(make_report(few), few.options, 9, 1.0)[0]
+    assert '--runs are spent' in result_lines(found, few.proposer, 1.0)[0]
     assert shrunk(drive(options(path, out, runs=200, resume=True))) == NEAREST
 
 
@@ -192,7 +188,7 @@ def test_given_a_run_that_breaks_once_then_it_is_retried_and_if_twice_the_bench_
     shrinking = drive(options(path, tmp_path / 'never'), never)
     assert shrinking.broken is not None
     assert (shrinking.broken.index, shrinking.broken.retries) == (3, 1)
-    assert len(shrinking.rows) == 3
+    assert len(shrinking.proposer.judged) == 3
     assert shrunk(drive(options(path, tmp_path / 'never', resume=True))) == NEAREST
 
 
@@ -226,7 +222,7 @@ def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
             statistics=RunStatistics(max_cross_track_m=1.0),
         ),
     )
-    assert make_report(shrinking).state.end is End.NOT_REPRODUCED
+    assert make_report(shrinking.proposer).state.end is End.NOT_REPRODUCED
     assert len(shrinking.rows) == 2
 
 
@@ -241,7 +237,7 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
         **WET.to_human(), 'heading_deg': -30.0, 'cross_track_m': -12.3, 'distance_m': 420.0,
     })
     shrinking = drive(options(campaign(tmp_path / 'c', scenario), tmp_path / 'out'))
-    found = make_report(shrinking)
+    found = make_report(shrinking.proposer)
     lines = screen(found)
     assert lines[1].split() == [
         'parameter', 'original', 'nominal', 'shrunk', 'original', 'shrunk', 'verdict']
@@ -251,7 +247,7 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
     assert len(lines) == 8
     assert 'rain_percent: 31 % fails, 30 % passes (rho +0.01)' in finding_lines(found)
     assert '(a clear sky is dry too)' in finding_lines(found)[0]
-    assert run_command(shrinking.options, 'a b.scenic') == (
+    assert run_command(shrinking.proposer, 'a b.scenic') == (
         "taxinet run 'a b.scenic' --perception truth --set steering.heading_gain=1.5")
 
 
@@ -260,7 +256,9 @@ def test_given_a_shrinking_that_was_cut_short_then_only_what_was_run_passes_or_m
     for runs in range(2, 30):
         folder = tmp_path / str(runs)
         folder.mkdir()
-        found = make_report(drive(options(campaign(folder / 'c'), folder / 'out', runs=runs)))
+        found = make_report(
+            drive(options(campaign(folder / 'c'), folder / 'out', runs=runs)).proposer
+        )
         for one in found.findings:
             assert one.matters is None or one.matters == (
                 one.off_nominal and one.rho_in_shrunk > 0)
@@ -274,11 +272,11 @@ def test_given_a_shrinking_that_was_cut_short_then_only_what_was_run_passes_or_m
 def test_given_the_value_beside_fails_too_then_it_is_not_said_to_pass(tmp_path, rho):
     """Robustness 0 is no pass."""
     shrinking = drive(options(campaign(tmp_path / 'c'), tmp_path / 'out'))
-    search, space = shrinking.search, shrinking.options.space
+    search, space = shrinking.proposer.search, shrinking.proposer.space
     at = search.state.at
     axis = [one.key for one in space.moving].index('rain_percent')
     search.tell(search.moved(at, axis, at[axis] - 1), rho)
-    found = _finding(shrinking, space.moving[axis], axis, at)
+    found = _finding(shrinking.proposer, space.moving[axis], axis, at)
     assert (found.passes_at, found.rho_passes_at) == (None, None)
 
 
@@ -293,9 +291,9 @@ def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
         )
 
     shrinking = drive(options(campaign(tmp_path / 'c'), tmp_path / 'out'), either)
-    matter = [one.key for one in make_report(shrinking).findings if one.matters]
+    matter = [one.key for one in make_report(shrinking.proposer).findings if one.matters]
     assert matter == ['clouds', 'rain_percent']
-    lines = finding_lines(make_report(shrinking))
+    lines = finding_lines(make_report(shrinking.proposer))
     assert 'rain_percent: the original fails without it too, so it has another cause' in lines
 
 

@@ -1,4 +1,4 @@
-"""Options of shrinking a failed run, and the scenarios that it may run.
+"""The scenarios that a failed run may be shrunk to.
 
 The run's parameters are moved in steps towards nominal, as defined by the shipped program
 ``nominal``: on the centreline, straight ahead, under a clear dry sky at 10 h (a high sun that casts
@@ -11,15 +11,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from taxinet_ros.core.assurance.switch import check_controller
-from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
-from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
@@ -39,21 +34,10 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.traffic.traffic import NOBODY, traffic_of
 from taxinet_ros.core.traffic.traffic_file import typed_traffic
-from taxinet_ros.core.user_code import is_node_elsewhere
-from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.samplers.sampler import LAG, split_options
+from taxinet_ros.samplers.sampler import split_options
 from taxinet_ros.scenes.overrides import WEATHER
-from taxinet_ros.trials.options import (
-    DEFAULT_ROOT,
-    GRAPH,
-    CampaignOptions,
-    make_options,
-    new_folder,
-)
-from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
-from taxinet_ros.trials.search_options import check_workers_or_cluster
-from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED, Axis, Point
+from taxinet_ros.trials.shrink.algorithm import Axis, Point
 
 DISTANCES_M = (1000.0, 1800.0)
 """Nominal starts before and beyond the crossing, each within the range of ``nominal.scenic``."""
@@ -241,153 +225,3 @@ def _words(order: tuple[str, ...], nominal: str, original: str) -> tuple[str, ..
     first, last = order.index(nominal), order.index(original)
     step = 1 if last > first else -1
     return tuple(order[place] for place in range(first, last + step, step))
-
-
-PROGRAM = 'shrink'
-"""Program name of runs without a program, in run names and in the table."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShrinkOptions:
-    """Options of shrinking one failed run.
-
-    Attributes:
-        run: the failed run.
-        space: the scenarios that may be run.
-        campaign: judging, perception and output folder; ``runs`` limits the runs of the search.
-        workers: number of concurrent graphs.
-        resume: continue an interrupted shrinking.
-        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
-    """
-
-    run: JudgedRun
-    space: ShrinkSpace
-    campaign: CampaignOptions
-    workers: int = 1
-    resume: bool = False
-    cluster: str = ''
-
-    in_flight = LAG
-    """Number of runs that may be in flight."""
-
-    @property
-    def runs(self) -> int:
-        """Maximum number of its runs."""
-        return self.campaign.runs
-
-    @property
-    def headline(self) -> str:
-        """Name of the formula that must stay violated."""
-        return self.campaign.judging.headline
-
-
-def make_shrink_options(
-    path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
-    workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
-    engine: str = GRAPH, audit: str | None = None, cluster: str | None = None,
-) -> ShrinkOptions:
-    """Check the command-line arguments.
-
-    Args:
-        path: folder of the failed run.
-        perception: perception, if not the run's.
-        specs: formulas as text; the run's if empty.
-        nominal: ``key=value`` of the nominal scenario.
-        runs: maximum number of runs of the search.
-        workers: number of concurrent graphs.
-        out: folder; if None, a new one below ``bags/`` with a descriptive name.
-        resume: continue the shrinking in ``out``.
-        images: record ``all`` or ``none`` of the camera frames.
-        controller: controller, if not the run's.
-        engine: what makes the runs, see :class:`.CampaignOptions`.
-        audit: share of the runs to audit as text, see :func:`.check_engine`.
-        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
-
-    Raises:
-        UsageError: one line on the first error.
-    """
-    if runs < LEAST_ASKED:
-        raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
-    run = find_run(path)
-    if run.timing.free:
-        raise UsageError(
-            f'{path}: a free run: {NOT_REPRODUCIBLE}, so nothing tells a scenario that matters '
-            'from chance; shrink a run that failed with --latency'
-        )
-    if again := _world(run).again_words:
-        raise UsageError(
-            f'{path}: {again}, so nothing tells a scenario that matters from chance'
-        )
-    _check_failed(path, run, other_specs=bool(specs))
-    space = make_shrink_space(run.scenario, nominal)
-    if out is None and not resume:
-        out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
-    campaign = make_options(
-        program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
-        controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
-        processes=False, images=images, resume=resume, world=run.world,
-        engine=engine, audit=audit,
-    )
-    gains = dict(run.gains) if campaign.controller == STEERING else {}
-    return ShrinkOptions(
-        run=run, space=space,
-        campaign=dataclasses.replace(campaign, gains=gains, timing=run.timing),
-        workers=workers, resume=resume,
-        cluster=check_workers_or_cluster(workers, LAG, cluster, campaign),
-    )
-
-
-def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
-    if not run.outcome.judged:
-        raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
-    if other_specs:
-        return
-    interval = run.robustness.get(run.headline)
-    if interval is not None and interval.satisfied:
-        raise UsageError(
-            f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
-            'failed, or with --spec what it failed'
-        )
-
-
-def _perception(run: JudgedRun, asked: str | None) -> str:
-    """The perception to shrink with: the one that failed, unless another is given."""
-    if asked is not None:
-        return asked
-    try:
-        now = check_perception(run.perception, graph=True)
-    except UsageError as error:
-        raise UsageError(f'{run.run_id}: {error}; say with --perception where it is') from error
-    if is_node_elsewhere(run.perception):
-        return run.perception
-    if now != run.fingerprint:
-        raise UsageError(
-            f'{run.run_id}: perception {run.perception} is {now[:12] or "without weights"} now, it '
-            f'was {run.fingerprint[:12] or "without weights"}; --perception {run.perception} takes '
-            'it as it is'
-        )
-    return run.perception
-
-
-def _controller(run: JudgedRun) -> str:
-    """Controller of the failed run."""
-    try:
-        now = check_controller(run.controller, graph=True)
-    except UsageError as error:
-        raise UsageError(
-            f'{run.run_id}: {error}; say with --controller what to steer with'
-        ) from error
-    if now != run.controller_fingerprint and not is_node_elsewhere(run.controller):
-        raise UsageError(
-            f'{run.run_id}: controller {run.controller} is {now[:12]} now, it was '
-            f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
-        )
-    return run.controller
-
-
-def _world(run: JudgedRun) -> ChosenWorld:
-    """World of the failed run."""
-    try:
-        return find_world(run.world, run.world_fingerprint)
-    except UsageError as error:
-        raise UsageError(f'{run.run_id}: {error}') from error

@@ -1,0 +1,160 @@
+"""Printed lines of a search: heading, choices of the sampler, and summary."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+
+import numpy as np
+
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.samplers.registry import check_sampler
+from taxinet_ros.samplers.space import Branch
+from taxinet_ros.scenes.search_space import SearchSpace
+from taxinet_ros.trials.engine import Engine
+from taxinet_ros.trials.rates import count_outcomes, failure_rate, off_runway_rate
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.search import COVERAGE, Search
+from taxinet_ros.trials.stop import FAILURES
+from taxinet_ros.trials.summary import (
+    ON_STANDING_GRAPH,
+    blind_words,
+    next_line,
+    off_runway_words,
+    participants_words,
+    refused_words,
+    rho_words,
+    scene_words,
+    stopped_words,
+    table_line,
+    workers_words,
+)
+
+
+def _heading(search: Search) -> str:
+    campaign = search.campaign
+    verb = 'resuming' if campaign.resume else 'searching'
+    graph = f'{participants_words(campaign)}, {workers_words(campaign)}'
+    return (
+        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
+        f'{search.sampler}, seed {campaign.seed}, '
+        f'{ON_STANDING_GRAPH if campaign.standing_graph else graph} -> {campaign.out}'
+    )
+
+
+def heading_lines(search: Search) -> list[str]:
+    """What is printed before the first run of an open search."""
+    return [_heading(search), *space_lines(search.space), *search.notes]
+
+
+def space_lines(space: SearchSpace) -> list[str]:
+    """Lines on the choices that the sampler controls, with conditions, and on the others."""
+    options = {choice.dimension.name: choice.options for choice in space.searched}
+    groups: dict[str, list[str]] = {}
+    for choice in space.searched:
+        where = ' or '.join(_branch_words(branch, options[branch.parent])
+                            for branch in choice.dimension.when)
+        groups.setdefault(f'where {where}: ' if where else '', []).append(choice.dimension.name)
+    searched = '; '.join(f'{where}{", ".join(names)}' for where, names in groups.items())
+    lines = [f'searched: {searched or "nothing"}']
+    if space.unsearched:
+        lines.append(f'drawn, not searched: {", ".join(space.unsearched)}')
+    return lines
+
+
+def _branch_words(branch: Branch, options: Sequence[object]) -> str:
+    named = [str(options[number]) if options else f'option {number + 1}'
+             for number in branch.categories]
+    return f'{branch.parent} is {" or ".join(named)}'
+
+
+def search_summary(search: Engine[Search], resuming: str = '--resume') -> list[str]:
+    """Summary lines: counts, rates with intervals, the worst run, path of the table.
+
+    Args:
+        search: a search that has ended.
+        resuming: option that continues it.
+    """
+    rows, campaign = search.rows, search.options
+    lines = [count_outcomes(rows) or 'no run ended']
+    lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
+    lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search)]
+    lines.append(table_line(rows, campaign))
+    lines += next_line(rows, campaign)
+    why = 'interrupted' if search.interrupted else search.stopped
+    if why and len(rows) < search.options.runs:
+        how = '' if search.exhausted else f'; {resuming} continues it'
+        lines.append(f'ended before its {search.options.runs} runs: {why}{how}')
+    elif any(row.outcome is Outcome.INFRA_ERROR for row in rows):
+        lines.append(f'{resuming} tries the runs again that the bench broke')
+    return lines
+
+
+def _rate_lines(search: Engine[Search]) -> list[str]:
+    rows, planned = search.rows, search.first_planned
+    judged = [row for row in rows if row.outcome.judged]
+    if not judged:
+        return []
+    failed, off = failure_rate(rows, planned), off_runway_rate(rows, planned)
+    speed = statistics.median(row.real_time_factor for row in judged)
+    failures = sum(row.outcome is Outcome.FAIL for row in judged)
+    made = f'{failures} of {len(judged)} judged runs failed'
+    if failed.rate is None:
+        return [
+            failed.why_not, f'{made}, {off_runway_words(judged)}, median {speed:.1f}x real time',
+        ]
+    left = '' if off is None or off.rate is None else f', off the runway {off.rate.words()}'
+    lines = [
+        f'under the program itself: satisfied {failed.rate.other.words()}{left} '
+        f'({failed.rests_on})',
+        f'{made}, median {speed:.1f}x real time',
+    ]
+    stop = search.proposer.stop
+    if stop is not None and stop.kind == FAILURES and search.stopped == stop.reached:
+        lines.append('it ended with a failure, so the share of failures is too high on average; '
+                     'the interval holds all the same')
+    return lines
+
+
+def _worst_line(rows: Sequence[RunRow]) -> list[str]:
+    judged = [row for row in rows if row.outcome.judged]
+    if not judged:
+        return []
+    worst = min(judged, key=lambda row: row.headline[::-1] if row.headline else ())
+    return [f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}']
+
+
+_COMBINATIONS = {1: 'cells', 2: 'pairs of cells', 3: 'triples of cells'}
+_MOST_UNSEEN = 5
+
+
+def _odd_lines(search: Engine[Search]) -> list[str]:
+    """What the judged runs cover of the ODD, and what the program was not seen to reach."""
+    odd, covering = search.proposer.odd, search.proposer.covering
+    if odd is None or covering is None:
+        return []
+    reach = covering.reach()
+    strength = int(check_sampler(COVERAGE, search.proposer.sampler_options)['strength'])
+    feasible = odd.feasible(strength)
+    covered = {each: np.zeros(mask.shape, dtype=bool) for each, mask in feasible.items()}
+    judged = [row for row in search.rows if row.outcome.judged]
+    places = [odd.inside(row.scene) for row in judged]
+    for place in places:
+        if place is not None:
+            for each, mask in covered.items():
+                mask[tuple(place[one] for one in each)] = True
+    done = sum(int((feasible[each] & mask).sum()) for each, mask in covered.items())
+    outside = places.count(None)
+    what = _COMBINATIONS[strength]
+    lines = [
+        f'ODD {odd.name}: {done:,} of {reach.wanted:,} {what} in a judged run'
+        + (f'; {outside:,} judged runs outside' if outside else '')
+    ]
+    if reach.unseen:
+        named = '; '.join(odd.words(*one) for one in reach.unseen[:_MOST_UNSEEN])
+        more = len(reach.unseen) - _MOST_UNSEEN
+        lines.append(
+            f'not reached by the program in {reach.points:,} scenes looked at: '
+            f'{len(reach.unseen):,} ({named}' + (f'; and {more:,} more)' if more > 0 else ')')
+        )
+    return lines
