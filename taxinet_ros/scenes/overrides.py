@@ -43,9 +43,7 @@ from taxinet_ros.core.scenario_fields import (
     by_key,
 )
 from taxinet_ros.errors import UsageError
-
-OVERRIDES = 'overrides'
-"""The parameter of a program that overrides its values; said again, it adds to the earlier."""
+from taxinet_ros.scenes.values import OVERRIDES
 
 WEATHER = (SKY.key, RAIN.key)
 """The two interdependent weather keys: rain falls from rain clouds only."""

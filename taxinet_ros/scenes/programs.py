@@ -2,7 +2,8 @@
 
 A program is its file, the modules that it imports, the files that they read while it is compiled,
 and the documents that its parameters name. Which these are, the process knows that compiles it
-(:mod:`.source`); here they become one text with a digest, and files again.
+(:mod:`.source`); here they become one text with a digest, and files again. What the Scenic child
+does not need is imported where it is used, as a command waits for the child.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ import sys
 import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import taxinet_ros
-from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.files.plain_values import MAX_BYTES, parse_yaml
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
+
+if TYPE_CHECKING:
+    from taxinet_ros.core.scenario import Scenario
 
 MODEL = 'runway_world'
 """The world model: a module imported by the programs, not a program itself."""
@@ -114,6 +115,19 @@ def beside(program: Path, name: str) -> Path:
     return own if os.path.isfile(own) else Path(name)
 
 
+def shown_path(path: Path) -> str:
+    """The path, relative to the working directory if that is shorter."""
+    with contextlib.suppress(ValueError):
+        return str(path.resolve().relative_to(Path.cwd()))
+    return str(path)
+
+
+def shown_place(file: str, line: int) -> str:
+    """``file:line``, or the file where no line is known."""
+    shown = shown_path(Path(file))
+    return f'{shown}:{line}' if line else shown
+
+
 def files_of_program(
     program: Path, loaded: Iterable[str], named: Iterable[str]
 ) -> dict[str, Path]:
@@ -155,6 +169,8 @@ def _add_base(program: Path, files: dict[str, Path], name: str, document: Path) 
 
 def _base(name: str, data: bytes) -> str:
     """The file that a document names as the camera that it moves; '' for none."""
+    from taxinet_ros.files.plain_values import MAX_BYTES, parse_yaml
+
     if name.lower().endswith(('.yaml', '.yml')) and len(data) <= MAX_BYTES and _BASE.search(data):
         with contextlib.suppress(UsageError):  # said where it is read as a camera
             values = parse_yaml(Path(name), data)
@@ -364,6 +380,8 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
         about: header comment: purpose and origin of the program.
         remarks: comments by key of the scenario.
     """
+    from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS
+
     # Whole documents: a reference is meaningful only within its campaign.
     documents = {key: getattr(scenario, key) for key in CATALOGUES}
     values = {**scenario.to_human(), **_exact(scenario), **documents}
@@ -380,6 +398,9 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
 
 def _exact(scenario: Scenario) -> dict[str, Any]:
     """Values that rounding for display would change."""
+    from taxinet_ros.core.scenario import scenario_from_human
+    from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+
     read = scenario_from_human(scenario.to_human())
     values = {
         field: (getattr(scenario, field.attribute), getattr(read, field.attribute))

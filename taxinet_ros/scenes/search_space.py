@@ -12,7 +12,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.samplers.space import Branch, Dimension, Point, Space, make_space
 
@@ -158,7 +157,7 @@ class Choice:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Parse the Scenic child's description; accepts old ones with keys without units."""
+        """The inverse of :meth:`to_json`, which the Scenic child's description is like."""
         place = values['place']
         dimension = values['dimension']
         when = (Branch(parent, tuple(categories))
@@ -167,7 +166,7 @@ class Choice:
             dimension=Dimension(
                 **{**dimension, 'weights': tuple(dimension['weights']), 'when': tuple(when)}
             ),
-            feeds=frozenset(SHORT_FORMS.get(key, key) for key in values['feeds']),
+            feeds=frozenset(values['feeds']),
             place=Place(**dict(zip(_PLACE, place, strict=True))) if place else None,
             pieces=tuple(
                 Piece(**dict(zip(_PIECE, piece, strict=True))) for piece in values['pieces']

@@ -18,19 +18,17 @@ import functools
 import itertools
 import math
 import random
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from numbers import Real
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import numpy as np
-import scenic
 from scenic.core import distributions, external_params
 from scenic.syntax import veneer
 
 from taxinet_ros.samplers.space import Dimension
+from taxinet_ros.scenes.constructs import program_frame
 from taxinet_ros.scenes.program_sampler import BUCKETED, PARAMS, TYPE, VERIFAI_BUCKETS
 from taxinet_ros.scenes.search_space import tail_of
 from taxinet_ros.scenes.values import REJECTION_FEEDBACK, Place, ProgramError
@@ -38,7 +36,6 @@ from taxinet_ros.scenes.values import REJECTION_FEEDBACK, Place, ProgramError
 _MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
 _PARTS = {'low': 'the low end', 'high': 'the high end', 'mean': 'the mean',
           'stddev': 'the standard deviation'}
-_NO_PROGRAMS = (str(Path(scenic.__file__).parent), __file__)
 
 
 class _Buckets:
@@ -216,12 +213,8 @@ class VerifaiParameter:
 
     @staticmethod
     def withPrior(prior: Any, buckets: Any = None) -> Any:  # noqa: N802 (Scenic's name)
-        """A choice with any prior, not approximated: a range, a normal or options.
-
-        ``buckets`` may be a list of bucket edges; the search here uses equal buckets only.
-        """
-        number = buckets if isinstance(buckets, int) else None
-        _marked(prior.index if _is_options(prior) else prior, number)
+        """A choice with any prior, not approximated: a range, a normal or options."""
+        _marked(prior.index if _is_options(prior) else prior, buckets)
         return prior
 
 
@@ -229,7 +222,9 @@ def _is_options(prior: Any) -> bool:
     return isinstance(prior, distributions.MultiplexerDistribution)
 
 
-def _marked(choice: Any, buckets: int | None) -> Any:
+def _marked(choice: Any, buckets: Any) -> Any:
+    if buckets is not None and (type(buckets) is not int or buckets < 1):
+        raise ValueError(f'buckets is {buckets!s:.80}; it has to be a whole number above 0')
     setattr(choice, _MARK, buckets)
     _Buckets.some_say |= buckets is not None
     return choice
@@ -240,10 +235,7 @@ def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
     def init(self: Any, *args: Any, **kwargs: Any) -> None:
         initialise(self, *args, **kwargs)
         _check_numbers(self)
-        frame: FrameType | None = sys._getframe(1)
-        while frame is not None and frame.f_code.co_filename.startswith(_NO_PROGRAMS):
-            frame = frame.f_back
-        if frame is not None:
+        if (frame := program_frame()) is not None:
             setattr(self, _PLACE, _place(frame))
 
     return init
