@@ -46,7 +46,6 @@ from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperator
 
 from taxinet_ros.samplers.space import Branch, Dimension
 from taxinet_ros.scenes.regions import coordinates, ends, point_at
-from taxinet_ros.scenes.search_space import tail_of
 from taxinet_ros.scenes.values import (
     PLANE_KEYS,
     TRAFFIC_KEY,
@@ -56,6 +55,7 @@ from taxinet_ros.scenes.values import (
 )
 from taxinet_ros.scenes.verifai_choices import (
     buckets_of,
+    check_reach,
     default_buckets,
     pieces_of,
     place_of,
@@ -641,8 +641,7 @@ def _normal(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
 
 def _truncated(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
     mean, stddev = given[node.mean], given[node.stddev]
-    if tail := tail_of(mean, stddev, node.low, node.high):
-        return tail(quantile)
+    check_reach(mean, stddev, node.low, node.high)
     below, above = (_STANDARD.cdf((end - mean) / stddev) for end in (node.low, node.high))
     value = mean + stddev * _sigmas(below + quantile * (above - below))
     return min(max(value, node.low), node.high)

@@ -18,7 +18,7 @@ import functools
 import importlib
 import sys
 import tokenize
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -32,7 +32,7 @@ from scenic.core.vectors import Vector
 from scenic.syntax import ast as syntax
 from scenic.syntax import compiler, translator, veneer
 
-from taxinet_ros.scenes.programs import MODEL, SUFFIX
+from taxinet_ros.scenes.programs import MODEL, SUFFIX, is_of_program
 from taxinet_ros.scenes.values import (
     OVERRIDES,
     PLANE_KEYS,
@@ -78,19 +78,19 @@ _NEUTRAL: Mapping[str, Any] = {
 
 _WITH_EFFECT = frozenset({
     *PLANE_KEYS, *SHORT_PLANE_KEYS, 'position', 'yaw', 'pitch', 'roll', 'orientation', 'heading',
-    'parentOrientation', 'regionContainedIn', 'onDirection', 'mutationScale', 'name',
+    'parentOrientation', 'regionContainedIn', 'mutationScale', 'name',
 })
 _OF_GROUND_OBJECTS = frozenset({'kind', 'colour', 'behavior', 'width', 'length'})
 _MUTATION = frozenset({'mutator', 'positionStdDev', 'headingStdDev', 'orientationStdDev'})
 _SIZE = frozenset({
     'width', 'length', 'height', 'shape', 'baseOffset', 'contactTolerance',
-    'sideComponentThresholds',
+    'sideComponentThresholds', 'onDirection',
 })
 _SIZE_READERS = frozenset({
     'require', 'workspace', 'contained', 'regionContainedIn', 'allowCollisions', 'requireVisible',
     'visible', 'of', 'on',
 })
-_VIEW_READERS = frozenset({'require', 'visible', 'requireVisible', 'visibleRegion'})
+_VIEW_READERS = frozenset({'see', 'visible', 'requireVisible', 'visibleRegion'})
 _VIEW = frozenset({
     'viewAngle', 'viewAngles', 'visibleDistance', 'viewRayDensity', 'viewRayCount',
     'viewRayDistanceScaling', 'cameraOffset', 'visionSensorOffset', 'occluding',
@@ -141,7 +141,8 @@ class Constructs:
         )
         for function, (statement, why) in _STATEMENTS.items():
             setattr(veneer, function, _refusing(statement, why))
-        veneer.require = _refusing_temporal(veneer.require)
+        veneer.require = _checking_require(veneer.require)
+        veneer.mutate = _checking_mutate(veneer.mutate)
         veneer.param = self._watching_param(veneer.param)
         veneer.new = self._watching_new(veneer.new)
 
@@ -155,7 +156,7 @@ class Constructs:
 
         Args:
             scenario: what Scenic has compiled.
-            files: the files of the program.
+            files: the files that were read while it was compiled.
 
         Raises:
             ProgramError: the first construct without effect, its place, and what to do.
@@ -170,9 +171,12 @@ class Constructs:
             name: self._parameter(name, value)
             for name, value in scenario_parameters(scenario.params).items()
         }
-        words = _Words(files)
+        readable = _Words(files).readable()
         for thing in scenario.objects:
-            self._check_object(thing, scenario, words)
+            self._check_object(thing, scenario)
+        for made in self._made.values():
+            _check_properties(made, _with_effect(made.thing, scenario) | readable)
+            _check_kept(made)
         others = [thing for thing in scenario.objects if thing is not scenario.egoObject]
         fixed: list[tuple[Place, str]] = []
         for thing in others:
@@ -236,7 +240,7 @@ class Constructs:
             'words': [word for word in words if isinstance(word, str)],
         }
 
-    def _check_object(self, thing: Any, scenario: Any, words: _Words) -> None:
+    def _check_object(self, thing: Any, scenario: Any) -> None:
         made, kind, is_ego = self._made[id(thing)], type(thing), thing is scenario.egoObject
         if not is_ego and not is_ground_object(thing):
             raise ProgramError(
@@ -244,14 +248,6 @@ class Constructs:
                 'Vehicle, …), so it has no effect; leave it out, or write "new OrientedPoint" for '
                 'a place to refer to', made.place,
             )
-        own = (model for model in kind.__mro__ if not _is_models(model))
-        said = made.said.union(*map(_declared, own))
-        for name in sorted(said - _with_effect(thing, scenario) - words.readable()):
-            value = getattr(thing, name)
-            if name not in _NEUTRAL or needsSampling(value) or value != _NEUTRAL[name]:
-                why = _WHY.get(name, 'nothing reads it')
-                raise ProgramError(_sentence(name, why), made.place)
-        _check_kept(made)
         if not needsSampling(thing):
             if thing.mutationScale != 0:
                 raise ProgramError(
@@ -269,7 +265,7 @@ class _Words:
     def __init__(self, files: Iterable[str]) -> None:
         self._words: set[str] = set()
         self._attributes: set[str] = set()
-        for file in map(Path, files):
+        for file in map(Path, filter(is_of_program, files)):
             if file.suffix in (SUFFIX, '.py') and file.name != f'{MODEL}{SUFFIX}':
                 self._add(file)
 
@@ -284,21 +280,21 @@ class _Words:
                 before = token.string
 
     def readable(self) -> set[str]:
-        """Properties that the program may read; by ``getattr``, any that it declares itself."""
+        """Properties that the program may read; by ``getattr``, any."""
         found = self._attributes - _NEUTRAL.keys()
         if self._words & _SIZE_READERS:
             found |= _SIZE
         if self._words & _VIEW_READERS:
             found |= _VIEW
         if 'getattr' in self._words:
-            found |= self._words - _NEUTRAL.keys() - _MUTATION - _SIZE - _VIEW
+            found |= self._words - _NEUTRAL.keys()
         return found
 
 
 def _with_effect(thing: Any, scenario: Any) -> set[str]:
     """Properties of an object that have an effect, whether the program reads them or not."""
     found = set(_WITH_EFFECT)
-    if thing is not scenario.egoObject:
+    if is_ground_object(thing):
         found |= _OF_GROUND_OBJECTS
         found.add('requireVisible')
         if any('height' in _declared(kind) for kind in type(thing).__mro__
@@ -336,8 +332,19 @@ def _check_names(made: _Made) -> None:
         known = sorted({*Object._defaults, *kind._defaults})
         raise ProgramError(
             f'with {name}: no property of {kind.__name__}, so it has no effect'
-            f'{meant(name, known)}; one that the program reads is declared in a class', made.place,
+            f'{_meant(name, known)}; one that the program reads is declared in a class', made.place,
         )
+
+
+def _check_properties(made: _Made, with_effect: Collection[str]) -> None:
+    """Refuse properties without effect that the program says, or its classes."""
+    own = (kind for kind in type(made.thing).__mro__ if not _is_models(kind))
+    for name in sorted(made.said.union({'sensors'}, *map(_declared, own)).difference(with_effect)):
+        value = getattr(made.thing, name, _NEUTRAL.get(name))
+        if name not in _NEUTRAL or needsSampling(value) or value != _NEUTRAL[name]:
+            raise ProgramError(
+                _sentence(name, _WHY.get(name, 'nothing reads it')), made.place
+            )
 
 
 def _check_kept(made: _Made) -> None:
@@ -390,14 +397,30 @@ def _refusing(statement: str, why: str) -> Callable[..., Any]:
     return refuse
 
 
-def _refusing_temporal(require: Callable[..., Any]) -> Callable[..., Any]:
+def _checking_require(require: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(require)
-    def checked(number: int, condition: Any, *rest: Any, **named: Any) -> Any:
+    def checked(
+        number: int, condition: Any, line: int, name: str | None, prob: float = 1
+    ) -> Any:
         for part in condition.flatten():
             if part.is_temporal:
                 word = f'require {type(part).__name__.lower()}'
                 raise ProgramError(_sentence(word, _FORMULA), program_place())
-        return require(number, condition, *rest, **named)
+        if prob == 0:
+            raise ProgramError(_sentence('require[0]', 'it never has to hold'), program_place())
+        return require(number, condition, line, name, prob)
+
+    return checked
+
+
+def _checking_mutate(mutate: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(mutate)
+    def checked(*objects: Any, scale: Any = 1) -> Any:
+        if scale == 0 or not (objects or veneer.currentScenario._objects):
+            raise ProgramError(
+                _sentence('mutate', 'there is nothing yet that it moves'), program_place()
+            )
+        return mutate(*objects, scale=scale)
 
     return checked
 
@@ -406,7 +429,7 @@ def _sentence(word: str, why: str) -> str:
     return f'{word} has no effect here: {why}; leave it out'
 
 
-def meant(name: str, known: Sequence[str]) -> str:
+def _meant(name: str, known: Sequence[str]) -> str:
     """What a misspelt name may have been meant to be, as the end of a sentence; else ''."""
     close = difflib.get_close_matches(name, known, 1)
     return f'; did you mean {close[0]}?' if close else ''

@@ -18,15 +18,10 @@ from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
-    BY_PLACE,
-    BY_TRACK,
     CAMERA,
     CAMERA_OFFSETS,
     CATALOGUES,
     DURATION,
-    HUMAN_KEYS,
-    PLACE,
-    TRACK,
     by_key,
 )
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
@@ -38,8 +33,6 @@ from taxinet_ros.scenes.overrides import (
     apply_overrides,
     check_offsets,
     check_overrides,
-    contradicting_keys,
-    impossible_keys,
     without_idle,
 )
 from taxinet_ros.scenes.paper_names import key_of, our_values
@@ -77,7 +70,8 @@ GRACE_S = 3.0
 """Time after the limit in which the child may report the hanging line before it is killed."""
 
 _PROBED_SCENES = 64
-"""Scenes checked for rain under an overridden sky; S_falsif hides it with (2/3)**64."""
+"""Scenes checked for a valid one, or for rain under an overridden sky, which S_falsif hides with
+(2/3)**64."""
 
 _FIRST_SCENES = 8
 """Scenes checked for the run's duration; each rejected one may take seconds."""
@@ -165,6 +159,7 @@ class SceneSource:
         self.text = ''
         self._documents: frozenset[Path] = frozenset()
         self._params: dict[str, Parameter] = {}
+        self._valid: bool | None = None
 
     def __enter__(self) -> Self:
         """Start the child, compile, and check for overrides that contradict the program.
@@ -278,8 +273,10 @@ class SceneSource:
             kept = without_idle(values, self._values, self.search_space().drawn)
             if len(kept) < len(values):
                 return self._scenario(kept, where)
-            if self._by_chance({**values, **self._values}):
-                raise Rejected(str(error), self.refused) from error
+            refused, valid = self.refused, self._draws_valid_scenes()
+            self.refused = refused
+            if valid:
+                raise Rejected(str(error), refused) from error
             raise
 
     def _drawn(self, index: int, point: Point | None, attempt: int) -> dict[str, Any]:
@@ -316,17 +313,18 @@ class SceneSource:
                 found[key] = str(path)
         return found
 
-    def _by_chance(self, values: Mapping[str, Any]) -> bool:
-        """Whether the program draws impossible values only in some scenes."""
-        drawn = self.search_space().drawn - set(self._values)
-        if PLACE.key in drawn:  # it determines the valid values of the others
-            drawn |= BY_PLACE
-        if TRACK.key in drawn:
-            drawn |= BY_TRACK
-        impossible = impossible_keys(values)
-        if impossible:
-            return impossible <= drawn & set(HUMAN_KEYS)
-        return bool(drawn & contradicting_keys(values))
+    def _draws_valid_scenes(self) -> bool:
+        """Whether any of the first scenes is a valid scenario; else the program is in error."""
+        if self._valid is None:
+            self._valid = False
+            drawn = self.search_space().drawn
+            for index in range(_PROBED_SCENES if drawn else 0):
+                with contextlib.suppress(Rejected, UsageError):
+                    values = self._drawn(index, None, 0)
+                    apply_overrides(without_idle(values, self._values, drawn), self._values, '')
+                    self._valid = True
+                    break
+        return self._valid
 
     def _probe(self) -> None:
         # Otherwise scenes would be rejected for an override that the user can correct.

@@ -17,7 +17,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import random
 from collections.abc import Callable, Iterable, Mapping
 from numbers import Real
 from types import FrameType
@@ -30,10 +29,11 @@ from scenic.syntax import veneer
 from taxinet_ros.samplers.space import Dimension
 from taxinet_ros.scenes.constructs import program_frame
 from taxinet_ros.scenes.program_sampler import BUCKETED, PARAMS, TYPE, VERIFAI_BUCKETS
-from taxinet_ros.scenes.search_space import tail_of
 from taxinet_ros.scenes.values import REJECTION_FEEDBACK, Place, ProgramError
 
 _MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
+_FAR_SIGMAS = 5.0
+"""Distance from the mean at which the distribution function has lost half of its digits."""
 _PARTS = {'low': 'the low end', 'high': 'the high end', 'mean': 'the mean',
           'stddev': 'the standard deviation'}
 
@@ -59,7 +59,7 @@ def install() -> None:
     whole.__init__ = _checking_weights(whole.__init__)
     for kind in (distributions.Range, distributions.Normal, bell, whole):
         kind.__init__ = _remembering(kind.__init__)
-    bell.sampleGiven = _with_tails(bell.sampleGiven)
+    bell.sampleGiven = _within_reach(bell.sampleGiven)
     # Scenic takes a choice // 1 for the choice.
     distributions.Distribution.__floordiv__ = lambda choice, divisor: (
         distributions.OperatorDistribution('__floordiv__', choice, (divisor,), {}))
@@ -80,7 +80,7 @@ def sampler_request(
         places: place where each of them is set.
 
     Raises:
-        ProgramError: a sampler defined by the program, or parameters that are no plain values.
+        ProgramError: a sampler defined by the program, or a parameter of the wrong type.
     """
     own = params.get('externalSampler', external_params.VerifaiSampler)
     if own is not external_params.VerifaiSampler:
@@ -98,37 +98,27 @@ def sampler_request(
             places.get(REJECTION_FEEDBACK),
         )
     kind, given = params.get(TYPE), params.get(PARAMS) or {}
-    if not isinstance(kind, (str, type(None))):
-        raise ProgramError(f'{TYPE} is a {type(kind).__name__}; it has to be a word',
-                           places.get(TYPE))
     if not isinstance(given, Mapping):
         raise ProgramError(f'{PARAMS} is a {type(given).__name__}; it has to be a DotMap or a dict',
                            places.get(PARAMS))
-    plain = _plain(given, places.get(PARAMS))
+    plain = _plain(given)
     if kind in BUCKETED:
         _cut_ranges(plain, places.get(PARAMS))
     return {
-        'kind': kind, 'params': plain,
+        'kind': kind and str(kind), 'params': plain,
         'feedback': None if feedback is None else float(feedback),
         'places': {name: places[name] for name in (TYPE, PARAMS) if name in places},
     }
 
 
-def _plain(values: Mapping[str, Any], place: Place | None) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if name.startswith('_'):
-            continue  # Scenic looks up its own attributes, and a DotMap creates them
-        if isinstance(value, Mapping):
-            found[name] = _plain(value, place)
-        elif value is None or isinstance(value, (bool, int, float, str)):
-            found[name] = value
-        elif isinstance(value, (list, tuple, np.ndarray)):
-            found[name] = str(value)  # only for display: no sampler here takes one
-        else:
-            raise ProgramError(f'{PARAMS}.{name} is a {type(value).__name__}; it has to be a '
-                               'plain number', place)
-    return found
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values; what no sampler here takes is only shown."""
+    return {
+        name: _plain(value) if isinstance(value, Mapping)
+        else value if isinstance(value, (bool, int, float, type(None))) else str(value)
+        for name, value in values.items()
+        if not name.startswith('_')  # Scenic looks up its own attributes: a DotMap creates them
+    }
 
 
 def _cut_ranges(params: Mapping[str, Any], place: Place | None) -> None:
@@ -275,19 +265,30 @@ def _check_numbers(choice: Any) -> None:
         if least is not None and least < 0:
             said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
             raise ValueError(f'{_PARTS["stddev"]} of a {kind} is {said}; it has to be 0 or more')
+    if isinstance(choice, distributions.TruncatedNormal) and not choice._dependencies:
+        check_reach(choice.mean, choice.stddev, choice.low, choice.high)
     if isinstance(choice, distributions.DiscreteRange):
         least, most = choice.supportInterval()
         if None not in (least, most) and most < least + 1 and math.floor(most) < math.ceil(least):
             raise ValueError(f'a {kind} from {least:g} to {most:g} has no whole number')
 
 
-def _with_tails(sample: Callable[..., float]) -> Callable[..., float]:
+def _within_reach(sample: Callable[..., float]) -> Callable[..., float]:
     @functools.wraps(sample)
     def sample_given(self: Any, given: Mapping[Any, Any]) -> float:
-        tail = tail_of(given[self.mean], given[self.stddev], self.low, self.high)
-        return sample(self, given) if tail is None else tail(random.random())
+        check_reach(given[self.mean], given[self.stddev], self.low, self.high)
+        return sample(self, given)
 
     return sample_given
+
+
+def check_reach(mean: float, stddev: float, low: float, high: float) -> None:
+    """Refuse a truncated normal so far from its mean that its inverse function loses digits."""
+    if stddev == 0 or low - mean > _FAR_SIGMAS * stddev or mean - high > _FAR_SIGMAS * stddev:
+        raise ValueError(
+            f'a TruncatedNormal from {low:g} to {high:g} lies more than {_FAR_SIGMAS:g} standard '
+            f'deviations of {stddev:g} from its mean {mean:g}; write Range(LOW, HIGH)'
+        )
 
 
 def _place(frame: FrameType) -> list[Any] | None:

@@ -205,7 +205,7 @@ REFUSED = {
         PLANE + 'new Vehicle at (3, 450), with shape CylinderShape()\n', 3, 'shape has no effect'),
     'height of what is flat': (PLANE + 'new Patch at (3, 450), with height 2\n', 3,
                                'height has no effect here'),
-    'base offset': (AT + ', with baseOffset (0, 0, 1)\n', 2, 'baseOffset has no effect here'),
+    'contact': (AT + ', with contactTolerance 3\n', 2, 'contactTolerance has no effect here'),
     'view angle': (AT + ', with viewAngle 60 deg\n', 2, 'viewAngle has no effect here: nothing'),
     'visible distance': (AT + ', with visibleDistance 9\n', 2, 'visibleDistance has no effect'),
     'camera offset': (AT + ', with cameraOffset (1, 0, 2)\n', 2, 'cameraOffset has no effect'),
@@ -222,6 +222,15 @@ REFUSED = {
         MODEL + 'class Own(Plane):\n    fuel: 9\nego = new Own at (0, 400), with fuel 5\n', 4,
         'fuel has no effect here: nothing reads it'),
     'typo of a point': (AT + '\nnew Point at (3, 4), with widht 3\n', 3, 'with widht: no property'),
+    'view of a point': (AT + '\nnew OrientedPoint at (3, 4), with viewAngle 9\n', 3,
+                        'viewAngle has no effect here'),
+    'view beside a requirement': (
+        PLANE[:-1] + ', with viewAngle 1\nrequire ego.position.x > 0\n', 2, 'viewAngle has no'),
+    'direction of nothing': (AT + ', with onDirection (0, 0, 1)\n', 2, 'onDirection has no'),
+    'sensors assigned': (AT + '\nego.sensors["a"] = 1\n', 2, 'sensors has no effect here'),
+    'mutate in a module': (AT + '\nimport moving\n', 1, 'mutate has no effect here: there is'),
+    'mutate by nothing': (AT + '\nmutate ego by 0\n', 3, 'mutate has no effect here'),
+    'require never': (PLANE + 'require[0] ego.position.x > 0\n', 3, 'require[0] has no effect'),
     'edges of buckets': (
         MODEL + 'ego = new Plane at (0, VerifaiParameter.withPrior(Range(0, 9), buckets=[0, 3]))\n',
         2, 'ValueError: buckets is [0, 3]; it has to be a whole number above 0'),
@@ -253,7 +262,7 @@ scenario Main():
 OTHERS = {
     'library': LIBRARY, 'library2': 'param fog = 3\n', 'library3': 'param duration = 9\n',
     'library4': 'import random\nX = random.random()\n',
-    'ending': 'terminate when 1 > 0\n',
+    'moving': 'mutate\n', 'ending': 'terminate when 1 > 0\n',
     'watching': 'monitor Watch():\n    wait\nrequire monitor Watch()\n',
     'planes': MODEL + 'class Late(Plane):\n    position: (0, 700)\n',
 }
@@ -315,6 +324,7 @@ WORKS = {
         {}),
     'size that the program reads': (
         AT + ', with width 3\nnew Cone at (ego.width, 450)\n', {'distance': 400}),
+    'size read by its name': (AT + ', with width 3\nx = getattr(ego, "width")\n', {}),
     'size that a requirement may read': (AT + ', with length 3\nrequire ego in everywhere\n', {}),
     'deviation of a mutation': (AT + ', with positionStdDev (2, 2, 0)\nmutate ego\n', {}),
     'parent orientation': (AT + ', with parentOrientation 9 deg, with yaw 1 deg\n',
