@@ -9,6 +9,7 @@ from typing import Any, TextIO
 
 from waiting import PATIENT_S
 
+from taxinet_ros.core.scenario_fields import by_key
 from taxinet_ros.scenes.scenic_server import fork_child
 
 
@@ -18,13 +19,14 @@ class Client:
     def __init__(self, requests: TextIO, answers: TextIO) -> None:
         self._requests, self._answers = requests, answers
         first = json.loads(answers.readline())
-        assert {*first} == {'ticket', 'pid'}, 'the first line says that Scenic is there'
+        assert {*first} == {'pid'}, 'the first line says that Scenic is there'
         self.pid: int = first['pid']
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        print(json.dumps({**request, 'ticket': 'one'}), file=self._requests, flush=True)
+        print(json.dumps(request), file=self._requests, flush=True)
         answer: dict[str, Any] = json.loads(self._answers.readline())
-        assert answer.pop('ticket') == 'one'
+        if 'values' in answer:
+            answer['values'] = by_key(answer['values'])
         return answer
 
 

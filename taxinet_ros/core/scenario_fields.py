@@ -508,11 +508,6 @@ CATALOGUES = {
 }
 """Lookup of documents by scenario key; each such attribute has the name of its key."""
 
-BY_TRACK = frozenset(field.key for field in (CROSS_TRACK, DISTANCE))
-"""Keys whose valid values depend on the track."""
-BY_PLACE = BY_TRACK | {CROSSING.key, TRACK.key}
-"""Keys whose valid values depend on the place."""
-
 PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)
 """Keys that a Scenic program says by the place of its aircraft, which has these properties."""
 PARAMETERS = tuple(field.key for field in SCENARIO_FIELDS if not field.plane)
@@ -544,8 +539,3 @@ def by_value(values: Mapping[str, Any]) -> dict[str, Any]:
             with contextlib.suppress(UsageError):
                 found[name] = BY_KEY[name].from_human(value)
     return found
-
-
-def other_form(name: str) -> str:
-    """A key's short form, or the key of a short form; '' where there is none."""
-    return BY_KEY[name].short if name in BY_KEY else SHORT_FORMS.get(name, '')

@@ -2,52 +2,47 @@
 
 A draw from Python's ``random`` happens once, at compile time, so its value would be the same in all
 runs although the program reads as if it varied. A clock or the operating system's entropy gives a
-different program in each worker and after each interruption. So a program is compiled twice, from
-different seeds, and has to draw the same scenes. A generator with a seed of its own
-(``random.Random(3)``) does so.
+different program in each worker and after each interruption. So a program is compiled twice, once
+in a fork with other seeds on another day, and has to draw the same scenes. A generator with a seed
+of its own (``random.Random(3)``) does so.
 
 Only the Scenic child may import this module.
 """
 
 from __future__ import annotations
 
+import contextlib
+import datetime
+import json
+import os
 import random
 import re
-import sys
-import sysconfig
-from collections.abc import Callable, Iterable
+import signal
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from taxinet_ros.processes.child import die_with_parent
 from taxinet_ros.scenes.programs import MODEL, SUFFIX, shipped_folder
 from taxinet_ros.scenes.values import Place, ProgramError
 
 Compiled = TypeVar('Compiled')
 
-_LIBRARIES = tuple({
-    sysconfig.get_path(kind) for kind in ('stdlib', 'platstdlib', 'purelib', 'platlib')
-})
-_SEEDS = 10
-"""Compilations of a program that draws while it is compiled."""
-_CLOCK = re.compile(
-    r'\b(?:now|utcnow|today|time|time_ns|localtime|gmtime|strftime|ctime|perf_counter|monotonic|'
-    r'urandom|getpid|getppid|randbelow|randbits|token_\w+|uuid[14]|SystemRandom)\('
-)
-"""What may be the same in two compilations, and another tomorrow or in another process."""
+_MORE = 7
+"""Further compilations where entropy was asked for: two that choose one of two may be the same."""
+_LATER_S = 400 * 86400 + 5 * 3600 + 1234.5
 _REACHES = re.compile(
     rf'import|\b(?:open|id|hash)\(|^\s*model\s+(?!{MODEL}\s*$)', re.MULTILINE
-)
-_CHANCE = re.compile(
-    r'\b(?:random|uniform|gauss|normal\w*|choices?|shuffle|rand\w*|default_rng|Random|token_\w+|'
-    r'time\w*|monotonic|perf_counter|urandom|uuid[14])\('
 )
 
 
 def compile_twice(
     program: Path, compile_program: Callable[[], Compiled], reseed: Callable[[int], None],
-    first_scenes: Callable[[Compiled], Any],
+    first_scenes: Callable[[Compiled], list[Any]],
+    place_of: Callable[[str, Compiled], Place | None],
 ) -> Compiled:
     """Compile a program; refuse one that is another each time.
 
@@ -58,57 +53,135 @@ def compile_twice(
         reseed: seeds the generators that a program may draw from; the scenario that is returned
             is compiled after ``reseed(0)``.
         first_scenes: draws some scenes, with seeds of their own.
+        place_of: where a compiled program says a value of its scenes.
 
     Raises:
-        ProgramError: it differs, and the line that seems to be the reason.
+        ProgramError: it differs: in which value, and the line that says it.
     """
-    if not _imports(program):
-        reseed(0)
-        return compile_program()
-    drawn: list[Any] = []
-
-    def compiled_after(seed: int) -> tuple[Compiled, bool]:
-        imported = set(sys.modules)
+    def once(seed: int) -> tuple[Compiled, dict[str, str]]:
         reseed(seed)
         before = _generators()
         compiled = compile_program()
-        moved = _generators() != before
-        drawn.append(first_scenes(compiled))
-        if drawn[-1] != drawn[0]:
-            raise ProgramError(
-                'compiled twice, it draws other scenes: chance outside Scenic, or a clock, is '
-                'another one each time, so no run could be repeated; write a number, or '
-                'Range(LOW, HIGH) for chance', _line(program, _CHANCE),
-            )
-        if seed:
-            _forget(set(sys.modules) - imported)
-        return compiled, moved
+        return compiled, dict(_generators().items() - before.items())
 
-    _, moved = compiled_after(1)
-    # Of two choices, one in two compilations is the same by chance.
-    for seed in range(2, _SEEDS if moved else 2):
-        compiled_after(seed)
-    return compiled_after(0)[0]
+    if not _imports(program):
+        return once(0)[0]
+    others = [_elsewhere(lambda: once(1), first_scenes)]
+    if others[0] is not None and others[0]['asked']:
+        others += [_elsewhere(lambda: once(1), first_scenes) for _ in range(_MORE)]
+    compiled, drawn_from = once(0)
+    scenes = json.loads(json.dumps(first_scenes(compiled)))
+    for other in others:
+        if other is None:
+            raise ProgramError('compiled a second time, it ends otherwise')
+        if other['scenes'] != scenes:
+            what, place = _difference(scenes, other['scenes'], compiled, place_of)
+        elif drawn_from != other['drawn_from']:
+            names = ' and '.join(sorted({*drawn_from, *other['drawn_from']}))
+            what, place = f'it draws from {names} without a seed of its own', None
+        else:
+            continue
+        raise ProgramError(
+            f'compiled twice, {what}: chance outside Scenic, a clock or the process is another one '
+            'each time, so no run could be repeated; write a number, or Range(LOW, HIGH) for '
+            'chance', place,
+        )
+    return compiled
 
 
-def check_clocks(program: Path, files: Iterable[str]) -> None:
-    """Refuse what answers equally in two compilations, but otherwise another day or elsewhere.
+def _difference(
+    scenes: list[Any], others: list[Any], compiled: Compiled,
+    place_of: Callable[[str, Compiled], Place | None],
+) -> tuple[str, Place | None]:
+    """What differs between the scenes of two compilations, and where the program says it."""
+    for one, other in zip(scenes, others, strict=True):
+        if 'values' in one and 'values' in other:
+            values, rest = one['values'], other['values']
+            for key in values:
+                if values[key] != rest.get(key):
+                    shown = f'{values[key]!s:.40} and {rest.get(key)!s:.40}'
+                    return f'{key} is {shown}', place_of(key, compiled)
+    return 'its scenes meet other requirements', None
 
-    Args:
-        program: a program's file.
-        files: what was read while it was compiled.
 
-    Raises:
-        ProgramError: a line of its own code, or of a module below its folder, asks for such.
+def _elsewhere(
+    once: Callable[[], tuple[Compiled, dict[str, str]]],
+    first_scenes: Callable[[Compiled], list[Any]],
+) -> dict[str, Any] | None:
+    """What a program draws in a fork of this process, on another day; None if it fails there."""
+    left_s = signal.getitimer(signal.ITIMER_REAL)[0]
+    answer, theirs = os.pipe()
+    pid = os.fork()
+    if not pid:
+        try:
+            die_with_parent(signal.SIGKILL)
+            signal.setitimer(signal.ITIMER_REAL, left_s / 2)  # the rest is to name the line
+            ballast = [bytes(size) for size in range(1, 512) for _ in range(9)]  # other addresses
+            del ballast[::2]
+            asked = _another_day()
+            compiled, drawn_from = once()
+            data = {'scenes': first_scenes(compiled), 'drawn_from': drawn_from, 'asked': asked}
+            with open(theirs, 'w') as stream:
+                json.dump(data, stream)
+        except BaseException:  # of the program: it is reported where it is compiled for use
+            pass
+        finally:
+            os._exit(0)
+    os.close(theirs)
+    try:
+        with open(answer) as stream:
+            text = stream.read()
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    return json.loads(text) if text else None
+
+
+def _another_day() -> list[bool]:
+    """Set the clocks of this process forward, as Python tells them.
+
+    Returns:
+        A list that is filled when it asks for entropy.
     """
-    folder = program.absolute().parent
-    for file in map(Path, files):
-        own = file.suffix in ('.py', SUFFIX) and file.is_relative_to(folder)
-        if own and not str(file).startswith(_LIBRARIES) and (place := _line(file, _CLOCK)):
-            raise ProgramError(
-                'the clock, the process and the system answer otherwise another day or in another '
-                'process, so no run could be repeated; write a number, or Range(LOW, HIGH)', place
-            )
+    for name in ('localtime', 'gmtime', 'ctime'):
+        _default(name, 0, lambda: time.time())
+    _default('asctime', 0, lambda: time.localtime())
+    _default('strftime', 1, lambda: time.localtime())
+    for name in ('time', 'monotonic', 'perf_counter', 'process_time', 'thread_time'):
+        _set_forward(name, _LATER_S)
+        _set_forward(f'{name}_ns', int(1e9 * _LATER_S))
+
+    class Later(datetime.datetime):
+        @classmethod
+        def now(cls, tz: datetime.tzinfo | None = None) -> Later:
+            return cls.fromtimestamp(time.time(), tz)
+
+        @classmethod
+        def utcnow(cls) -> Later:
+            return cls.utcfromtimestamp(time.time())
+
+    datetime.datetime = Later  # type: ignore[misc]
+    asked: list[bool] = []
+    entropy = os.urandom
+
+    def urandom(size: int) -> bytes:
+        asked.append(True)
+        return entropy(size)
+
+    os.urandom = random._urandom = urandom  # type: ignore[attr-defined]
+    return asked
+
+
+def _set_forward(clock: str, by: float) -> None:
+    now = getattr(time, clock)
+    setattr(time, clock, lambda: now() + by)
+
+
+def _default(function: str, index: int, default: Callable[[], Any]) -> None:
+    """Have a function of the module time take the default that is set forward."""
+    given = getattr(time, function)
+    setattr(time, function, lambda *args: given(*args, *([default()][len(args) - index:])))
 
 
 def _imports(program: Path) -> bool:
@@ -119,28 +192,8 @@ def _imports(program: Path) -> bool:
     return bool(_REACHES.search(program.read_text(encoding='utf-8', errors='replace')))
 
 
-def _generators() -> tuple[Any, ...]:
+def _generators() -> dict[str, str]:
     """State of the generators that Scenic draws from, which it does not while it compiles."""
     state: Any = np.random.get_state()  # noqa: NPY002 (the one Scenic uses)
-    _, words, position, *rest = state
-    return random.getstate(), words.tobytes(), position, *rest
-
-
-def _forget(modules: set[str]) -> None:
-    """Have Python modules of a program run again, as its Scenic modules do."""
-    for name in modules:
-        file = getattr(sys.modules[name], '__file__', None)
-        if file and not file.startswith(_LIBRARIES):
-            del sys.modules[name]
-
-
-def _line(program: Path, words: re.Pattern[str]) -> Place | None:
-    """The first line of a program that has one of these words."""
-    try:
-        lines = program.read_text(encoding='utf-8', errors='replace').splitlines()
-    except OSError:  # Scenic says so
-        return None
-    for number, line in enumerate(lines, 1):
-        if words.search(line.partition('#')[0]):
-            return str(program), number
-    return None
+    numpy_state = state[1].tolist(), *state[2:]
+    return {'random': str(random.getstate()), 'numpy.random': str(numpy_state)}

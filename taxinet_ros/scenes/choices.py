@@ -44,14 +44,18 @@ from scenic.core.object_types import Constructible
 from scenic.core.regions import PointInRegionDistribution
 from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperatorDistribution
 
-from taxinet_ros.core.scenario_fields import PLANE_KEYS, TRAFFIC
 from taxinet_ros.samplers.space import Branch, Dimension
-from taxinet_ros.scenes.paper_names import key_of
 from taxinet_ros.scenes.regions import coordinates, ends, point_at
-from taxinet_ros.scenes.search_space import tail_of
-from taxinet_ros.scenes.values import is_ground_object, plane_property, scenario_parameters
+from taxinet_ros.scenes.values import (
+    PLANE_KEYS,
+    TRAFFIC_KEY,
+    is_ground_object,
+    plane_property,
+    scenario_parameters,
+)
 from taxinet_ros.scenes.verifai_choices import (
     buckets_of,
+    check_reach,
     default_buckets,
     pieces_of,
     place_of,
@@ -78,7 +82,7 @@ class Found:
         node: the Scenic distribution.
         options: the options of a selector, in order; None if it is no selector.
         part: index of the quantile, if one draw takes several, as a point in a region does.
-        feeds: keys of the scenario that depend on it, and :data:`REQUIREMENTS`.
+        feeds: parameters and keys of the scenario that depend on it, and :data:`REQUIREMENTS`.
         when: identities of the selectors that gate it, each with the number of the option that it
             is part of; empty if it is always in effect.
     """
@@ -102,7 +106,7 @@ class _Ordered(dict[Any, None]):
 
 
 _NUMBER = '_taxinet_number'
-_numbers = itertools.count()
+_numbers = itertools.count(1 << 40)  # no hash of the small numbers that options are
 
 
 def _number(value: Any) -> int:
@@ -152,7 +156,7 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
 
 
 def random_keys(scenario: Any) -> list[str]:
-    """Keys of the scenario whose values vary between scenes."""
+    """Parameters and keys of the scenario whose values vary between scenes."""
     ego = scenario.egoObject
     moved = set(PLANE_KEYS) if isinstance(ego, Constructible) and _draws(ego) else set()
     return sorted(moved | {
@@ -325,16 +329,13 @@ def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
 
 
 def _entries(scenario: Any) -> dict[str, list[Any]]:
-    """Random values behind each scenario key, and those that decide acceptance."""
-    parameters = scenario_parameters(scenario.params)
-    entries: dict[str, list[Any]] = {}
-    for name, value in parameters.items():
-        entries.setdefault(key_of(name, parameters), []).append(value)
+    """Random values behind each parameter and key, and those that decide acceptance."""
+    entries = {name: [value] for name, value in scenario_parameters(scenario.params).items()}
     for key in PLANE_KEYS:
         # A wrong class of ego is reported when its scene is drawn.
         entries[key] = [plane_property(scenario.egoObject, key)]
     if others := [thing for thing in scenario.objects if is_ground_object(thing)]:
-        entries[TRAFFIC.key] = others
+        entries[TRAFFIC_KEY] = others
     judged = [value for req in scenario.userRequirements for value in req.dependencies]
     colliding = [thing for thing in scenario.objects if thing.allowCollisions is not True]
     if len(colliding) > 1:  # Scenic refuses scenes in which they overlap
@@ -640,8 +641,7 @@ def _normal(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
 
 def _truncated(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
     mean, stddev = given[node.mean], given[node.stddev]
-    if tail := tail_of(mean, stddev, node.low, node.high):
-        return tail(quantile)
+    check_reach(mean, stddev, node.low, node.high)
     below, above = (_STANDARD.cdf((end - mean) / stddev) for end in (node.low, node.high))
     value = mean + stddev * _sigmas(below + quantile * (above - below))
     return min(max(value, node.low), node.high)

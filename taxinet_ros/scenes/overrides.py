@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.core.control_step import last_step
-from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
@@ -35,7 +34,6 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     RAIN_CLOUDS,
     SKY,
-    SPEED,
     TIME_OF_DAY,
     TRACK,
     WIND_DIRECTION,
@@ -43,21 +41,11 @@ from taxinet_ros.core.scenario_fields import (
     by_key,
 )
 from taxinet_ros.errors import UsageError
-
-OVERRIDES = 'overrides'
-"""The parameter of a program that overrides its values; said again, it adds to the earlier."""
+from taxinet_ros.scenes.values import OVERRIDES
 
 WEATHER = (SKY.key, RAIN.key)
 """The two interdependent weather keys: rain falls from rain clouds only."""
 
-_BOUND = (
-    WEATHER, (WIND_SPEED.key, WIND_DIRECTION.key), (GUST.key, GUST_SEED.key),
-    (AIRCRAFT_MODEL.key, WIND_SPEED.key, GUST.key), (AIRCRAFT_MODEL.key, SPEED.key),
-    (AIRCRAFT_MODEL.key, CAMERA.key, *(field.key for field in CAMERA_OFFSETS)),
-    (*(field.key for field in FAULTS), FAULT_ONSET.key, DURATION.key),
-    (*(field.key for field in FAULTS), FAULT_SEED.key),
-)
-"""Groups of interdependent keys."""
 _NEEDS = {
     WIND_DIRECTION.key: {WIND_SPEED.key}, GUST_SEED.key: {GUST.key},
     FAULT_ONSET.key: {field.key for field in FAULTS},
@@ -233,37 +221,9 @@ def check_offsets(values: Mapping[str, Any], where: str) -> None:
             )
 
 
-def impossible_keys(values: Mapping[str, Any]) -> set[str]:
-    """Keys of values that are impossible at their place, regardless of the others."""
-    found = set()
-    place = _place({PLACE.key: DEFAULT_PLACE, **values})
-    for key in (PLACE.key, TRACK.key):
-        try:
-            scenario_from_human({name: place[name] for name in (PLACE.key, key) if name in place})
-        except UsageError:
-            return {key}
-    for key, value in values.items():
-        try:
-            check_value(key, value, place)
-        except UsageError:
-            found.add(key)
-    return found
-
-
 def _place(values: Mapping[str, Any]) -> dict[str, Any]:
     """The values that decide which starts are possible."""
     return {key: values[key] for key in (PLACE.key, TRACK.key) if key in values}
-
-
-def contradicting_keys(values: Mapping[str, Any]) -> set[str]:
-    """Keys of values that are possible alone but not together."""
-    found: set[str] = set()
-    for keys in _BOUND:
-        try:
-            scenario_from_human({key: values[key] for key in keys if key in values})
-        except UsageError:
-            found.update(keys)
-    return found
 
 
 def without_idle(

@@ -35,6 +35,7 @@ from taxinet_ros.core.scenario_fields import (
     TRAFFIC,
     WIND_DIRECTION,
     WIND_SPEED,
+    by_key,
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.values import placed_objects
@@ -177,13 +178,14 @@ def our_values(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
     """A scene's values by scenario key, in human units.
 
     Args:
-        values: by key or name of the paper.
+        values: by key, its short form or name of the paper.
         overrides: by key, which replace drawn ones: of place and date, on which local time depends,
             and of the track, along which a program places others on the ground.
 
     Raises:
         UsageError: a value of the paper is outside its range.
     """
+    values = by_key(values)
     place = str({**values, **overrides}.get(PLACE.key, DEFAULT_PLACE))
     date = str({**values, **overrides}.get('date', Scenario().date))
     found: dict[str, Any] = {}

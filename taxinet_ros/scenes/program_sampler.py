@@ -1,23 +1,9 @@
 """Map the sampler that a program requests through Scenic parameters to one of ours.
 
 Scenic has two global parameters for this, ``verifaiSamplerType`` and ``verifaiSamplerParams``,
-which name a sampler of VerifAI (2.2.0, ``verifai.server.choose_sampler``) and its options:
-
-=============  ===============  ====================================================================
-VerifAI        here             options
-=============  ===============  ====================================================================
-``random``     ``random``
-``halton``     ``halton``       scrambled by the seed here, so ``sample_index`` and
-                                ``bases_skipped`` can only be 0
-``ce``         ``ce``           with ``rule=verifai``: ``alpha`` (VerifAI's default 0.9),
-                                ``cont.buckets`` (its 5)
-``mab``        ``mab``          ``cont.buckets`` (its 5)
-``grid``       ``grid``         ``N`` is ``points``
-``bo``         ``bo``           ``init_num`` is ``startup``
-=============  ===============  ====================================================================
-
-Any other value of ``--sampler`` is accepted too, with its own option names. Unsupported requests
-are refused with their line.
+which name a sampler of VerifAI (2.2.0, ``verifai.server.choose_sampler``) and its options;
+docs/scenic.md has the table. Any other value of ``--sampler`` is accepted too, with its own option
+names. Unsupported requests are refused with their line.
 """
 
 from __future__ import annotations
@@ -31,28 +17,12 @@ from taxinet_ros.errors import UsageError
 
 TYPE, PARAMS = 'verifaiSamplerType', 'verifaiSamplerParams'
 
-_HERE = {
-    'random': 'random', 'halton': 'halton', 'ce': 'ce', 'mab': 'mab', 'grid': 'grid', 'bo': 'bo',
-}
-_NOT_HERE = {
-    'eg': 'epsilon-greedy raises NotImplementedError in VerifAI, and there is none here; mab is '
-          'the nearest',
-    'sa': 'VerifAI refuses simulated annealing, and there is none here; cmaes is the nearest',
-}
+_VERIFAI = ('random', 'halton', 'ce', 'mab', 'grid', 'bo')
 _DEFAULTS: Mapping[str, Mapping[str, str]] = {'ce': {'rule': 'verifai', 'alpha': '0.9'}}
 _OPTIONS: Mapping[str, Mapping[str, str]] = {
     'ce': {'alpha': 'alpha'}, 'grid': {'N': 'points'}, 'bo': {'init_num': 'startup'},
 }
 """VerifAI options that map to numeric options here, by sampler."""
-
-_FIXED: Mapping[str, tuple[Any, str]] = {
-    'thres': (0, 'a run fails where rho is below 0'),
-    'sample_index': (0, 'the sequence is scrambled by --seed and begins at its first point'),
-    'bases_skipped': (0, 'the sequence is scrambled by --seed and uses every base'),
-    'cont.dist': (None, 'write the weights into VerifaiRange(low, high, weights=[…])'),
-    'disc.dist': (None, 'write the weights into VerifaiOptions({value: weight, …})'),
-}
-"""VerifAI options with a single supported value, and why."""
 
 BUCKETED = ('ce', 'mab')
 """VerifAI samplers that keep histograms."""
@@ -61,10 +31,11 @@ VERIFAI_BUCKETS = 5
 """Their default number of buckets per range."""
 
 _BUCKETS = 'cont.buckets'
-_FIXED_OF: Mapping[str, tuple[str, ...]] = {
-    'ce': ('thres', 'cont.dist', 'disc.dist'), 'mab': ('thres', 'cont.dist', 'disc.dist'),
-    'halton': ('sample_index', 'bases_skipped'),
+_HISTOGRAM = {'thres': 0, 'cont.dist': None, 'disc.dist': None}
+_FIXED: Mapping[str, Mapping[str, Any]] = {
+    'ce': _HISTOGRAM, 'mab': _HISTOGRAM, 'halton': {'sample_index': 0, 'bases_skipped': 0},
 }
+"""VerifAI options with a single supported value, by sampler."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,28 +75,25 @@ def program_sampler(
             )
         return None
     place = places[TYPE]
-    if kind in _NOT_HERE:
-        raise UsageError(f'{place}: {TYPE} = {kind!r}: {_NOT_HERE[kind]}')
-    word = _HERE.get(kind, kind)
     options = dict(_DEFAULTS.get(kind, {}))
     for name, value in _flat(params):
         options.update(_option(kind, name, value, places[PARAMS]))
-    _check(word, options, place)
-    return ProgramSampler(word=word, options=options, said=f'{TYPE} = {kind!r}', place=place)
+    _check(kind, options, place)
+    return ProgramSampler(word=kind, options=options, said=f'{TYPE} = {kind!r}', place=place)
 
 
 def _option(kind: str, name: str, value: Any, place: str) -> dict[str, str]:
     where = f'{place}: {PARAMS}.{name} = {value!r}'
     if name == _BUCKETS and kind in BUCKETED:
         return {}  # already applied to the choices
-    if kind in _HERE and name in _FIXED_OF.get(kind, ()):
-        fixed, why = _FIXED[name]
-        if value != fixed:
-            raise UsageError(f'{where}: only {fixed} can be had here: {why}')
+    fixed = _FIXED.get(kind, {})
+    if name in fixed:
+        if value != fixed[name]:
+            raise UsageError(f'{where}: only {fixed[name]} can be had here; see docs/scenic.md')
         return {}
-    known = _OPTIONS.get(kind, {}) if kind in _HERE else {name: name}
+    known = _OPTIONS.get(kind, {}) if kind in _VERIFAI else {name: name}
     if name not in known:
-        names = (*known, *_FIXED_OF.get(kind, ()), *([_BUCKETS] if kind in BUCKETED else ()))
+        names = (*known, *fixed, *([_BUCKETS] if kind in BUCKETED else ()))
         raise UsageError(
             f'{where}: has no effect on {kind}; known: {", ".join(names) or "none"}; options of '
             'the sampler here are given by --sampler-option'

@@ -2,7 +2,8 @@
 
 A program is its file, the modules that it imports, the files that they read while it is compiled,
 and the documents that its parameters name. Which these are, the process knows that compiles it
-(:mod:`.source`); here they become one text with a digest, and files again.
+(:mod:`.source`); here they become one text with a digest, and files again. What the Scenic child
+does not need is imported where it is used, as a command waits for the child.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ import sys
 import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import taxinet_ros
-from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.files.plain_values import MAX_BYTES, parse_yaml
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
+
+if TYPE_CHECKING:
+    from taxinet_ros.core.scenario import Scenario
 
 MODEL = 'runway_world'
 """The world model: a module imported by the programs, not a program itself."""
@@ -114,6 +115,19 @@ def beside(program: Path, name: str) -> Path:
     return own if os.path.isfile(own) else Path(name)
 
 
+def shown_path(path: Path) -> str:
+    """The path, relative to the working directory if that is shorter."""
+    with contextlib.suppress(ValueError):
+        return str(path.resolve().relative_to(Path.cwd()))
+    return str(path)
+
+
+def shown_place(file: str, line: int) -> str:
+    """``file:line``, or the file where no line is known."""
+    shown = shown_path(Path(file))
+    return f'{shown}:{line}' if line else shown
+
+
 def files_of_program(
     program: Path, loaded: Iterable[str], named: Iterable[str]
 ) -> dict[str, Path]:
@@ -131,7 +145,7 @@ def files_of_program(
     Raises:
         UsageError: a file cannot be read, or two have one name.
     """
-    files = {_name(program, path): Path(path) for path in loaded if _is_of_program(path)}
+    files = {_name(program, path): Path(path) for path in loaded if is_of_program(path)}
     sources = [path for path in (program, *files.values()) if path.suffix in _SOURCES]
     quoted = (match[2] for path in sources for match in NAMED_FILE.finditer(_stored(path)[1]))
     for name in sorted({*named, *quoted}):
@@ -155,6 +169,8 @@ def _add_base(program: Path, files: dict[str, Path], name: str, document: Path) 
 
 def _base(name: str, data: bytes) -> str:
     """The file that a document names as the camera that it moves; '' for none."""
+    from taxinet_ros.files.plain_values import MAX_BYTES, parse_yaml
+
     if name.lower().endswith(('.yaml', '.yml')) and len(data) <= MAX_BYTES and _BASE.search(data):
         with contextlib.suppress(UsageError):  # said where it is read as a camera
             values = parse_yaml(Path(name), data)
@@ -168,7 +184,7 @@ def _beside(name: str, base: str) -> str:
     return os.path.normpath(os.path.join(os.path.dirname(name), base))
 
 
-def _is_of_program(path: str) -> bool:
+def is_of_program(path: str) -> bool:
     """Whether a file that was read is no library's, bytecode or gone."""
     return os.path.isfile(path) and not path.startswith(_LIBRARIES) and '__pycache__' not in path
 
@@ -260,7 +276,7 @@ def write_program(path: Path, source: str, text: str) -> None:
     """Write a program that was made of a stored one, with all that it runs beside it.
 
     Documents from outside the stored program's folder are written beside it as well; the sources
-    and documents that name them are made to name them there.
+    that name them are made to name them there.
 
     Args:
         path: file of the program, in an existing folder.
@@ -269,31 +285,46 @@ def write_program(path: Path, source: str, text: str) -> None:
 
     Raises:
         UsageError: a file is too large to be stored, another one of its name exists there, or
-            nothing names a document as it is stored; nothing is written.
+            a document could not be found there; nothing is written.
         OSError: a file cannot be written.
     """
     stored = _others(path, text)
-    places = _places(stored)
-    moved = {name: place for name, place in places.items() if place != name}
-    sources = [data for name, data in stored.items() if name.endswith(_SOURCES)]
+    outside = {name for name in stored if os.path.isabs(name) or name.startswith(os.pardir)}
+    places = {name: Path(name).name if name in outside else name for name in stored}
+    _check_bases(path, stored, places)
+    moved = {name: places[name] for name in outside}
+    files: dict[Path, bytes] = {}
+    for name, data in stored.items():
+        written = _renamed(data, moved) if name.endswith(_SOURCES) else data
+        file = path.parent / places[name]
+        if files.setdefault(file, written) != written or (
+            file.exists() and file.read_bytes() != written
+        ):
+            raise UsageError(f'{path}: cannot be written: beside it, {file.name} is another file')
     bases = {_beside(name, base) for name, data in stored.items() if (base := _base(name, data))}
-    for name in moved.keys() - bases:
-        if not any(_quoted([name]).search(data) for data in (source.encode(), *sources)):
+    sources = [source.encode(), *(data for name, data in stored.items()
+                                  if name.endswith(_SOURCES))]
+    for name in outside - bases:
+        if not any(_quoted([name]).search(data) for data in sources):
             raise UsageError(
                 f'{path}: cannot be written: no source has the name {name} as it is, to replace it '
                 f'by {moved[name]}'
             )
-    files = {
-        path.parent / places[name]: _with_places(path, name, data, places)
-        for name, data in stored.items()
-    }
-    for file, data in files.items():
-        if file.exists() and file.read_bytes() != data:
-            raise UsageError(f'{path}: cannot be written: beside it, {file.name} is another file')
     for file, data in files.items():
         make_folder(file.parent)
         write_atomically(file, data)
     write_atomically(path, _renamed(source.encode(), moved))
+
+
+def _check_bases(path: Path, stored: Mapping[str, bytes], places: Mapping[str, str]) -> None:
+    """Check that each document finds the one that it moves where both are written."""
+    for name, data in stored.items():
+        base = _base(name, data)
+        if base and _beside(places[name], base) != places.get(_beside(name, base)):
+            raise UsageError(
+                f'{path}: cannot be written: {base}, base of {name}, is in another folder; put '
+                'both in one'
+            )
 
 
 def _others(path: Path, text: str) -> dict[str, bytes]:
@@ -306,42 +337,6 @@ def _others(path: Path, text: str) -> dict[str, bytes]:
         if name != f'{MODEL}{SUFFIX}' or data.decode().rstrip() != model:
             others[name] = data
     return others
-
-
-def _places(stored: Mapping[str, bytes]) -> dict[str, str]:
-    """Where each file is written: by name, its path within the program's new folder."""
-    outside = [name for name in stored if os.path.isabs(name) or name.startswith(os.pardir)]
-    places = {name: name for name in stored if name not in outside}
-    taken = {name: _whole(name, stored) for name in places}
-    for name in outside:
-        whole = _whole(name, stored)
-        place = Path(name).name
-        if taken.setdefault(place, whole) != whole:
-            place = f'{hashlib.sha256(whole).hexdigest()[:8]}-{place}'
-        places[name] = place
-    return places
-
-
-def _whole(name: str, stored: Mapping[str, bytes]) -> bytes:
-    """A file with what it names: documents alike may name other files."""
-    base = _base(name, stored[name])
-    return stored[name] + (stored.get(_beside(name, base), b'') if base else b'')
-
-
-def _with_places(path: Path, name: str, data: bytes, places: Mapping[str, str]) -> bytes:
-    """A stored file that names the others where they are written."""
-    if name.endswith(_SOURCES):
-        return _renamed(data, places)
-    if not (base := _base(name, data)):
-        return data
-    if (key := _beside(name, base)) not in places:
-        raise UsageError(f'{path}: cannot be written: {base}, base of {name}, is not stored')
-    place = os.path.relpath(places[key], os.path.dirname(places[name]) or os.curdir)
-    if place != os.path.normpath(base):
-        data = data.replace(base.encode(), place.encode())
-        if _base(name, data) != place:
-            raise UsageError(f'{path}: cannot be written: {base} cannot be replaced in {name}')
-    return data
 
 
 def _quoted(names: Iterable[str]) -> re.Pattern[bytes]:
@@ -364,6 +359,8 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
         about: header comment: purpose and origin of the program.
         remarks: comments by key of the scenario.
     """
+    from taxinet_ros.core.scenario_fields import CATALOGUES, PARAMETERS, PLANE_KEYS
+
     # Whole documents: a reference is meaningful only within its campaign.
     documents = {key: getattr(scenario, key) for key in CATALOGUES}
     values = {**scenario.to_human(), **_exact(scenario), **documents}
@@ -380,6 +377,9 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
 
 def _exact(scenario: Scenario) -> dict[str, Any]:
     """Values that rounding for display would change."""
+    from taxinet_ros.core.scenario import scenario_from_human
+    from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+
     read = scenario_from_human(scenario.to_human())
     values = {
         field: (getattr(scenario, field.attribute), getattr(read, field.attribute))

@@ -7,14 +7,14 @@ limits, which may die without harm to the test bench. The limits protect against
 against malice.
 
 Requests and answers are JSON lines over two pipes other than stdin and stdout, so a program may
-print anything (it appears on stderr). The first output line has the child's pid. Then each request
-has a ticket and gets one answer with the same ticket:
+print anything (it appears on stderr). The first line has the child's pid. Then each request gets
+one answer:
 
 ==========================================  ============================================
-``{"op": "compile", "program": ...}``        ``{"loaded": [...], "named": [...]}``, the files
-                                             that were read, and names of documents
-``{"op": "asked"}``                          ``{"sampler": {...}, "overrides": {...},
-                                             "notes": [...]}``
+``{"op": "compile", "program": ...}``        ``{"loaded": [...], "named": [...], "sampler": …,
+                                             "params": …, "overrides": …, "objects": …}``: the
+                                             files that were read, names of documents, and what
+                                             the program says (:mod:`.parameters`)
 ``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...], …}``
 ``{"op": "scene", "index": i}``              ``{"values": {...}, "refused": n}``, drawn after
                                              ``n`` others, or ``{"rejected": n}``
@@ -23,9 +23,7 @@ has a ticket and gets one answer with the same ticket:
 ==========================================  ============================================
 
 or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches in
-human units.
-
-Of programs in Scenic 1 or 2, such as the paper's, the error also names the version.
+human units, by the names that the program gives them.
 """
 
 from __future__ import annotations
@@ -35,49 +33,21 @@ import contextlib
 import gc
 import importlib.util
 import json
-import math
 import os
-import queue
 import random
-import re
-import resource
 import signal
 import socket
 import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import numpy as np
 
-from taxinet_ros.processes.child import die_with_parent, limit_cpu, limit_memory
-from taxinet_ros.scenes.programs import MODEL, shipped_folder
+from taxinet_ros.processes.child import die_with_parent, limit_memory
+from taxinet_ros.scenes.programs import MODEL, SUFFIX, is_document_file, shipped_folder
 from taxinet_ros.scenes.values import ProgramError, scene_values
-
-_OLD = re.compile(r'^\s*ego\s*=\s*(?!new\b)[A-Z]\w*\s*(?:$|#|[a-z])', re.MULTILINE)
-"""An object made without ``new``, as in Scenic 1 and 2."""
-_NAMES = re.compile(r"'(?:Plane|CLOUDS|RAIN_CLOUDS)' is not defined")
-_KNOWS_MODEL = re.compile(rf'^\s*(?:model|from|import)\s+{MODEL}\b', re.MULTILINE)
-
-
-def version_hint(text: str, message: str) -> str:
-    """Hint to append to a Scenic error; empty if there is none.
-
-    Args:
-        text: text of the program.
-        message: Scenic's error message.
-    """
-    if _OLD.search(text):
-        return (
-            'this program is written for Scenic 1 or 2, and Scenic 3 runs here: '
-            f'"model {MODEL}", "ego = new Plane", "Range(LOW, HIGH)"; see docs/scenic.md'
-        )
-    if _NAMES.search(message) and not _KNOWS_MODEL.search(text):
-        return f'write "model {MODEL}" as first line'
-    return ''
-
 
 MAX_ITERATIONS = 2000
 """Draws that may break a program's requirements before a scene counts as rejected."""
@@ -88,6 +58,14 @@ _COMPARED, _COMPARED_DRAWS = 3, 100
 _MOST_BYTES = 65536
 MAX_CHARACTERS = 1000
 """Maximum length of an error message; a program may raise one with any text."""
+
+
+_WITHOUT_MODEL = f'; write "model {MODEL}" as first line'
+_HINTS = {
+    'Plane': _WITHOUT_MODEL, 'CLOUDS': _WITHOUT_MODEL, 'RAIN_CLOUDS': _WITHOUT_MODEL,
+    'DotMap': '; a dict does as well: {"alpha": 0.9}',
+}
+"""Mends of an undefined name."""
 
 
 class OutOfTime(BaseException):
@@ -127,24 +105,25 @@ class Programs:
         sys.addaudithook(self._note_loaded)
 
     def compile(self, program: str) -> dict[str, Any]:
-        """Compile ``program`` and refuse constructs without effect; no scene is drawn."""
+        """Compile ``program`` and read it; refuse constructs without effect."""
         self._choices = self._scenario = None
         self._loaded.clear()
         scenario = self._chance.compile_twice(
             Path(program), lambda: self._begin(program),
             lambda attempt: self._reseed(0, attempt),  # a program may draw while it is compiled
-            self._first_scenes,
+            self._first_scenes, self._constructs.place_of,
         )
-        self._chance.check_clocks(Path(program), sorted(self._loaded))
-        self._constructs.check(scenario)
+        loaded = sorted(self._loaded)
+        read = self._constructs.read(scenario, [program, *loaded])
         if scenario.externalSampler is not None:
             raise ProgramError(
                 'external parameters of its own making cannot be searched; mark choices with '
                 'VerifaiRange or VerifaiOptions instead'
             )
         self._scenario = scenario
-        named = self._constructs.named_documents(scenario)
-        return {'loaded': sorted(self._loaded), 'named': named}
+        named = {word for one in read['params'].values() for word in one['words']
+                 if is_document_file(word)}
+        return {**read, 'loaded': loaded, 'named': sorted(named), 'sampler': self._sampler}
 
     def _note_loaded(self, event: str, args: tuple[Any, ...]) -> None:
         """Remember the files that are read while a program is compiled, as an audit hook."""
@@ -157,7 +136,7 @@ class Programs:
             self._loaded.add(path)
 
     def _begin(self, program: str) -> Any:
-        self._constructs.begin(Path(program))
+        self._constructs.begin()
         self._words.begin()
         self._loading = True
         try:
@@ -181,13 +160,6 @@ class Programs:
             except Exception as error:  # of the program; it is reported when the scene is drawn
                 found.append(type(error).__name__)
         return found
-
-    def asked(self) -> dict[str, Any]:
-        """The program's sampler request and overrides, and notes on likely mistakes."""
-        return {
-            'sampler': self._sampler, 'overrides': self._constructs.overrides,
-            'notes': self._constructs.notes(self._scenario),
-        }
 
     def space(self) -> dict[str, Any]:
         """The random choices of the program that can be set to a quantile."""
@@ -256,12 +228,7 @@ def _decided(requirements: Sequence[Any], active: Sequence[bool]) -> Iterator[No
 def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, Any]:
     """Describe an error in one line, with its file and line (0 if unknown)."""
     file, line = _place(error, Path(program))
-    message = _message(error, allowed_s)
-    if isinstance(error, Exception):
-        with contextlib.suppress(OSError, UnicodeDecodeError):  # which is the error, then
-            text = Path(program).read_text(encoding='utf-8')
-            message = '; '.join(filter(None, (message, version_hint(text, message))))
-    return {'file': file, 'line': line, 'message': message}
+    return {'file': file, 'line': line, 'message': _message(error, allowed_s)}
 
 
 def _message(error: BaseException, allowed_s: float) -> str:
@@ -276,8 +243,8 @@ def _message(error: BaseException, allowed_s: float) -> str:
         return text
     if text.startswith('multiple choices for scenario to run'):
         return 'there are several scenarios; call the one to be run Main'
-    if isinstance(error, NameError) and error.name == 'DotMap':
-        text += '; a dict does as well: {"alpha": 0.9}'
+    if isinstance(error, NameError) and error.name in _HINTS:
+        text += _HINTS[error.name]
     return f'{type(error).__name__}: {text}'
 
 
@@ -301,29 +268,11 @@ def _place(error: BaseException, program: Path) -> tuple[str, int]:
 def _is_users(file: Path, program: Path) -> bool:
     if file.stem == MODEL:  # errors there are caused by a program
         return False
-    return file.suffix == '.scenic' or file.parent == program.resolve().parent
+    return file.suffix == SUFFIX or file.parent == program.resolve().parent
 
 
 def _alarm(_signal: int, _frame: FrameType | None) -> NoReturn:
     raise OutOfTime
-
-
-def _allow(seconds: float) -> None:
-    """Limit the next request to ``seconds``: an alarm that names the line, then a CPU limit."""
-    spent = resource.getrusage(resource.RUSAGE_SELF)
-    cpu_s = math.ceil(spent.ru_utime + spent.ru_stime + seconds + 2)
-    limit_cpu(cpu_s)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-
-
-def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
-    """Forward each request line; exit when the parent hangs up, even during an endless loop."""
-    rest = b''
-    while part := os.read(request_fd, _MOST_BYTES):
-        *lines, rest = (rest + part).split(b'\n')
-        for line in lines:
-            requests.put(line)
-    os._exit(0)
 
 
 def _answer(response_fd: int, answer: Mapping[str, Any]) -> None:
@@ -332,26 +281,23 @@ def _answer(response_fd: int, answer: Mapping[str, Any]) -> None:
         data = data[os.write(response_fd, data):]
 
 
-def _serve(
-    programs: Programs, requests: queue.SimpleQueue[bytes], response_fd: int, timeout_s: float
-) -> None:
+def _serve(programs: Programs, requests: IO[str], response_fd: int, timeout_s: float) -> None:
     operations: dict[str, Callable[..., dict[str, Any]]] = {
-        'compile': programs.compile, 'asked': programs.asked, 'space': programs.space,
-        'scene': programs.scene,
+        'compile': programs.compile, 'space': programs.space, 'scene': programs.scene,
     }
     program = ''
-    while True:
-        request = json.loads(requests.get())
+    for line in requests:
+        request = json.loads(line)
         program = request.get('program', program)
-        operation, ticket = operations[request.pop('op')], request.pop('ticket')
+        operation = operations[request.pop('op')]
         try:
-            _allow(timeout_s)
+            signal.setitimer(signal.ITIMER_REAL, timeout_s)
             answer = operation(**request)
             signal.setitimer(signal.ITIMER_REAL, 0)
         except BaseException as error:  # whatever user code raises, exit() included
             signal.setitimer(signal.ITIMER_REAL, 0)
             answer = {'error': describe(error, program, timeout_s)}
-        _answer(response_fd, {**answer, 'ticket': ticket})
+        _answer(response_fd, answer)
 
 
 def _run_child(
@@ -377,17 +323,14 @@ def _run_child(
     with contextlib.suppress(OSError):
         os.chdir(folder)
     if isinstance(programs, str):
-        _answer(response_fd, {
-            'error': {'file': '', 'line': 0, 'message': programs}, 'ticket': '',
-        })
+        _answer(response_fd, {'error': {'file': '', 'line': 0, 'message': programs}})
         return
-    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_follow_parent, args=(request_fd, requests), daemon=True).start()
     signal.signal(signal.SIGALRM, _alarm)
     limit_memory(memory_bytes)
     programs.seed = seed
-    _answer(response_fd, {'ticket': '', 'pid': os.getpid()})
-    _serve(programs, requests, response_fd, timeout_s)
+    _answer(response_fd, {'pid': os.getpid()})
+    with open(request_fd) as requests:
+        _serve(programs, requests, response_fd, timeout_s)
 
 
 def main() -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
 from typing import Any, NamedTuple, Self
 
-import numpy as np
-
-from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.samplers.space import Branch, Dimension, Point, Space, make_space
 
@@ -82,39 +79,8 @@ class Law:
         mean, stddev = self.mean, self.stddev
         low = -math.inf if self.low is None else self.low
         high = math.inf if self.high is None else self.high
-        if tail := tail_of(mean, stddev, low, high):
-            return [tail(quantile) for quantile in quantiles]
         ends = (low - mean) / stddev, (high - mean) / stddev
         return [mean + stddev * sigmas for sigmas in standard_values(quantiles, *ends)]
-
-
-_FAR_SIGMAS = 5.0
-"""Distance from the mean at which the distribution function has lost half of its digits."""
-
-
-def tail_of(mean: float, sigma: float, low: float, high: float) -> Callable[[float], float] | None:
-    """Value at a quantile 0 … 1 of a truncated normal, where inverting its function loses digits.
-
-    With both ends far out on one side its logarithm is inverted, as in scipy.stats.truncnorm; None
-    for other ends. With a deviation of 0 it is the value next to the mean.
-    """
-    if sigma == 0:
-        return lambda quantile: min(max(mean, low), high)
-    ends = (low - mean) / sigma, (high - mean) / sigma
-    side = 1 if min(ends) > _FAR_SIGMAS else -1 if max(ends) < -_FAR_SIGMAS else 0
-    if side == 0:
-        return None
-    from scipy.special import log_ndtr, ndtri_exp
-
-    first, last = (float(log_ndtr(-side * end)) for end in ends)
-
-    def value(quantile: float) -> float:
-        if not 0 < quantile < 1:
-            return low if quantile <= 0 else high
-        share = float(np.logaddexp(math.log1p(-quantile) + first, math.log(quantile) + last))
-        return min(max(mean - side * sigma * float(ndtri_exp(share)), low), high)
-
-    return value
 
 
 def standard_values(
@@ -153,7 +119,7 @@ class Choice:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Parse the Scenic child's description; keys may be in their short forms."""
+        """The inverse of :meth:`to_json`, which the Scenic child's description is like."""
         place = values['place']
         dimension = values['dimension']
         when = (Branch(parent, tuple(categories))
@@ -162,7 +128,7 @@ class Choice:
             dimension=Dimension(
                 **{**dimension, 'weights': tuple(dimension['weights']), 'when': tuple(when)}
             ),
-            feeds=frozenset(SHORT_FORMS.get(key, key) for key in values['feeds']),
+            feeds=frozenset(values['feeds']),
             place=Place(*place) if place else None,
             pieces=tuple(Piece(*piece) for piece in values['pieces']),
             options=tuple(values['options'] or ()),

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 import os
-import secrets
 import select
 import signal
 import time
@@ -19,19 +18,13 @@ from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
-    BY_PLACE,
-    BY_TRACK,
     CAMERA,
     CAMERA_OFFSETS,
     CATALOGUES,
     DURATION,
-    HUMAN_KEYS,
-    PLACE,
-    TRACK,
     by_key,
 )
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.processes.child import exit_words, signal_name
 from taxinet_ros.samplers.space import Point, Space
 from taxinet_ros.scenes.overrides import (
@@ -40,11 +33,15 @@ from taxinet_ros.scenes.overrides import (
     apply_overrides,
     check_offsets,
     check_overrides,
-    contradicting_keys,
-    impossible_keys,
     without_idle,
 )
-from taxinet_ros.scenes.paper_names import our_values
+from taxinet_ros.scenes.paper_names import key_of, our_values
+from taxinet_ros.scenes.parameters import (
+    Parameter,
+    checked_overrides,
+    checked_parameters,
+    rain_notes,
+)
 from taxinet_ros.scenes.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.scenes.programs import (
     MODEL,
@@ -54,11 +51,14 @@ from taxinet_ros.scenes.programs import (
     find_program,
     is_document_file,
     shipped_folder,
+    shown_path,
+    shown_place,
     stored_text,
 )
 from taxinet_ros.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.scenes.scenic_server import ScenicChild, fork_child
 from taxinet_ros.scenes.search_space import SearchSpace
+from taxinet_ros.scenes.values import Place
 
 MEMORY_BYTES = 4 << 30
 """Address space limit of the child; Scenic itself uses about a tenth of it."""
@@ -66,14 +66,12 @@ MEMORY_BYTES = 4 << 30
 START_TIMEOUT_S = 120.0
 """Time limit for importing Scenic: 1.5 s on an idle machine, far more on a loaded one."""
 
-MAX_ANSWER_BYTES = 16 << 20
-"""Maximum size of one answer; a program's whole space takes a few kilobytes."""
-
 GRACE_S = 3.0
 """Time after the limit in which the child may report the hanging line before it is killed."""
 
 _PROBED_SCENES = 64
-"""Scenes checked for rain under an overridden sky; S_falsif hides it with (2/3)**64."""
+"""Scenes checked for a valid one, or for rain under an overridden sky, which S_falsif hides with
+(2/3)**64."""
 
 _FIRST_SCENES = 8
 """Scenes checked for the run's duration; each rejected one may take seconds."""
@@ -160,6 +158,8 @@ class SceneSource:
         self.feedback: float | None = None
         self.text = ''
         self._documents: frozenset[Path] = frozenset()
+        self._params: dict[str, Parameter] = {}
+        self._valid: bool | None = None
 
     def __enter__(self) -> Self:
         """Start the child, compile, and check for overrides that contradict the program.
@@ -174,10 +174,8 @@ class SceneSource:
         self._fds = (fds[0], fds[1])
         try:
             self._meanwhile()
-            self._child.pid = self._receive('', START_TIMEOUT_S)['pid']
-            compiled = self._ask({'op': 'compile', 'program': str(self.program)})
-            self._read_asked(**self._ask({'op': 'asked'}))
-            self._read_files(**compiled)
+            self._child.pid = self._receive(START_TIMEOUT_S)['pid']
+            self._read(**self._ask({'op': 'compile', 'program': str(self.program)}))
             self._probe()
         except BaseException:
             self._stop()
@@ -191,20 +189,23 @@ class SceneSource:
         """Stop the child."""
         self._stop()
 
-    def _read_asked(
-        self, *, sampler: Mapping[str, Any], overrides: Mapping[str, str],
-        notes: Sequence[Sequence[Any]],
+    def _read(
+        self, *, params: Mapping[str, Mapping[str, Any]],
+        overrides: Sequence[tuple[Place, Mapping[str, str]]],
+        objects: Sequence[tuple[Place, str]], random_objects: int, sampler: Mapping[str, Any],
+        loaded: Sequence[str], named: Sequence[str],
     ) -> None:
-        own = {key: BY_KEY[key].settled(text) for key, text in overrides.items()}
+        """Check what a compiled program says, and read its files."""
+        self._params = checked_parameters(self.program, params, objects, random_objects)
+        own = {key: BY_KEY[key].settled(text)
+               for key, text in checked_overrides(self.program, overrides).items()}
         self._overrides = {**own, **self._overrides}
         self._values = {**own, **self._values}
         check_overrides(self._values)
-        places = {name: _at(*place) for name, place in sampler['places'].items()}
+        places = {name: shown_place(*place) for name, place in sampler['places'].items()}
         self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
         self.feedback = sampler['feedback']
-        self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
-
-    def _read_files(self, *, loaded: Sequence[str], named: Sequence[str]) -> None:
+        self.notes = rain_notes(self._params)
         files = files_of_program(self.program, loaded, named)
         self.text = stored_text(files)
         self._documents = frozenset(path.resolve() for path in files.values())
@@ -230,7 +231,11 @@ class SceneSource:
             UsageError: the program failed, hung or died.
         """
         if self._space is None:
-            self._space = SearchSpace.from_json(self._ask({'op': 'space'}), self._overrides)
+            answer = self._ask({'op': 'space'})
+            for choice in answer['choices']:
+                choice['feeds'] = [key_of(name, self._params) for name in choice['feeds']]
+            answer['drawn'] = [key_of(name, self._params) for name in answer['drawn']]
+            self._space = SearchSpace.from_json(answer, self._overrides)
         return self._space
 
     def space(self) -> Space:
@@ -268,8 +273,10 @@ class SceneSource:
             kept = without_idle(values, self._values, self.search_space().drawn)
             if len(kept) < len(values):
                 return self._scenario(kept, where)
-            if self._by_chance({**values, **self._values}):
-                raise Rejected(str(error), self.refused) from error
+            refused, valid = self.refused, self._draws_valid_scenes()
+            self.refused = refused
+            if valid:
+                raise Rejected(str(error), refused) from error
             raise
 
     def _drawn(self, index: int, point: Point | None, attempt: int) -> dict[str, Any]:
@@ -306,17 +313,18 @@ class SceneSource:
                 found[key] = str(path)
         return found
 
-    def _by_chance(self, values: Mapping[str, Any]) -> bool:
-        """Whether the program draws impossible values only in some scenes."""
-        drawn = self.search_space().drawn - set(self._values)
-        if PLACE.key in drawn:  # it determines the valid values of the others
-            drawn |= BY_PLACE
-        if TRACK.key in drawn:
-            drawn |= BY_TRACK
-        impossible = impossible_keys(values)
-        if impossible:
-            return impossible <= drawn & set(HUMAN_KEYS)
-        return bool(drawn & contradicting_keys(values))
+    def _draws_valid_scenes(self) -> bool:
+        """Whether any of the first scenes is a valid scenario; else the program is in error."""
+        if self._valid is None:
+            self._valid = False
+            drawn = self.search_space().drawn
+            for index in range(_PROBED_SCENES if drawn else 0):
+                with contextlib.suppress(Rejected, UsageError):
+                    values = self._drawn(index, None, 0)
+                    apply_overrides(without_idle(values, self._values, drawn), self._values, '')
+                    self._valid = True
+                    break
+        return self._valid
 
     def _probe(self) -> None:
         # Otherwise scenes would be rejected for an override that the user can correct.
@@ -347,52 +355,41 @@ class SceneSource:
     def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if self._child is None:
             raise RuntimeError('SceneSource: not running; use it in a with statement')
-        # The ticket rejects text that a program writes to the pipe, and late answers to an earlier
-        # request.
-        ticket = secrets.token_hex(8)
         with contextlib.suppress(BrokenPipeError):  # then _receive reports how it died
-            os.write(self._fds[1], json.dumps({**request, 'ticket': ticket}).encode() + b'\n')
+            os.write(self._fds[1], json.dumps(request).encode() + b'\n')
         try:
-            return self._receive(ticket, self._timeout_s + GRACE_S)
+            return self._receive(self._timeout_s + GRACE_S)
         except (UsageError, InfraError):
             raise
         except BaseException:
             self._stop()  # interrupted: a late answer must not be taken for the next one
             raise
 
-    def _receive(self, ticket: str, allowed_s: float) -> dict[str, Any]:
+    def _receive(self, allowed_s: float) -> dict[str, Any]:
         deadline = time.monotonic() + allowed_s
         while b'\n' not in self._unread:
             left_s = deadline - time.monotonic()
             if left_s <= 0 or not select.select([self._fds[0]], [], [], left_s)[0]:
                 self._stop()
-                raise UsageError(f'{_shown(self.program)}: Scenic hung for {allowed_s:g} s')
+                raise UsageError(f'{shown_path(self.program)}: Scenic hung for {allowed_s:g} s')
             part = os.read(self._fds[0], 65536)
             if not part:
                 raise self._lost()
             self._unread += part
-            if len(self._unread) > MAX_ANSWER_BYTES:
-                self._stop()
-                raise UsageError(f'{_shown(self.program)}: the Scenic process says too much')
         line, _, self._unread = self._unread.partition(b'\n')
-        try:
-            answer = dict(load_json(line))
-            if answer.pop('ticket') != ticket:
-                raise ValueError('not an answer to this request')
-            if 'error' in answer:
-                raise UsageError(self._error_line(**answer['error']))
-            return answer
-        except (KeyError, ValueError, TypeError):
-            self._stop()
-            text = f'{_shown(self.program)}: the program has meddled with the Scenic process'
-            raise UsageError(text) from None
+        answer: dict[str, Any] = json.loads(line)
+        if 'error' in answer:
+            error = answer['error']
+            place = shown_place(error['file'] or str(self.program), error['line'])
+            raise UsageError(f"{place}: {error['message']}")
+        return answer
 
     def _lost(self) -> UsageError | InfraError:
         """The exception for a child that has exited."""
         assert self._child is not None
         status = self._child.wait(GRACE_S) or 0  # its pipe closes shortly before it exits
         self._stop()
-        program = _shown(self.program)
+        program = shown_path(self.program)
         if -status in _FROM_OUTSIDE:
             how = exit_words(status)
             return InfraError(InfraKind.DIED, f'the Scenic process of {program}', -1, how)
@@ -401,9 +398,6 @@ class SceneSource:
         else:
             how = f'ended with status {status}; a program must not end it'
         return UsageError(f'{program}: the Scenic process {how}')
-
-    def _error_line(self, *, file: str, line: int, message: str) -> str:
-        return f'{_at(file or str(self.program), line)}: {message}'
 
 
 def program_text(program: str | Path) -> str:
@@ -500,15 +494,3 @@ def sample_scenarios(
     """
     with SceneSource(program, seed=seed, overrides=overrides) as source:
         return [source.scene(index) for index in range(n)]
-
-
-def _at(file: str, line: int) -> str:
-    shown = _shown(Path(file))
-    return f'{shown}:{line}' if line else shown
-
-
-def _shown(path: Path) -> str:
-    """The path, relative to the working directory if that is shorter."""
-    with contextlib.suppress(ValueError):
-        return str(path.resolve().relative_to(Path.cwd()))
-    return str(path)

@@ -1,18 +1,30 @@
-"""Read scenario values from a drawn scene, with errors for missing or invalid ones."""
+"""Read scenario values from a drawn scene, with errors for missing or invalid ones.
+
+Of this package it imports little, as the Scenic child does, which a command waits for.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taxinet_ros.core.place.track import Track
-from taxinet_ros.core.scenario_fields import PLANE_KEYS, by_key, other_form
-from taxinet_ros.core.traffic.traffic import KINDS
 from taxinet_ros.scenes.programs import MODEL
+
+if TYPE_CHECKING:
+    from taxinet_ros.core.place.track import Track
+
+OVERRIDES = 'overrides'
+"""The parameter of a program that overrides its values; said again, it adds to the earlier."""
+
+PLANE_KEYS = ('cross_track_m', 'distance_m', 'heading_deg')
+"""Keys of the scenario that the place of the aircraft says, and properties of its class."""
+SHORT_PLANE_KEYS = {'cross_track': 'cross_track_m', 'distance': 'distance_m'}
+"""The other names that such properties may have."""
+TRAFFIC_KEY = 'traffic'
 
 REJECTION_FEEDBACK = 'externalSamplerRejectionFeedback'
 """Scenic's global parameter: what a sampler is told of a scene that the requirements reject."""
@@ -49,13 +61,12 @@ def scenario_parameters(params: dict[str, Any]) -> dict[str, Any]:
 
 
 def scene_values(scene: Any) -> dict[str, float | str | bool]:
-    """Plain values of a Scenic scene by scenario key, in human units.
+    """Plain values of a Scenic scene, by the names of its parameters and keys of the scenario.
 
     Position and heading are those of the aircraft in the scene, after ``mutate``.
 
     Raises:
-        ProgramError: no plane, one that is not on the runway, a parameter that must be a property
-            of the plane, or a value of the wrong type.
+        ProgramError: no plane, one that is not on the runway, or a value of the wrong type.
     """
     ego = scene.egoObject
     if ego is None or any(plane_property(ego, key) is None for key in PLANE_KEYS):
@@ -75,12 +86,9 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
                 f'{key} is {said:g}, but where the aircraft stands it is '
                 f'{values[key]:g}; only its place can say'
             )
-    for name, value in by_key(scenario_parameters(scene.params)).items():
-        if name in values:
-            raise ProgramError(f'parameter {name!r} belongs to the plane: place the ego there')
-        values[name] = value
+    values |= scenario_parameters(scene.params)
     if others := [one for one in scene.objects if is_ground_object(one)]:
-        values['traffic'] = objects_document(others)
+        values[TRAFFIC_KEY] = objects_document(others)
     return {name: plain_value(name, value) for name, value in values.items()}
 
 
@@ -129,6 +137,11 @@ def placed_objects(traffic: str, line: Track) -> str:
 
 
 def _placed(values: dict[str, Any], line: Track) -> dict[str, Any]:
+    from taxinet_ros.core.traffic.traffic import KINDS
+
+    kind = KINDS.get(values['kind'])
+    if kind is None or not kind.solid:  # what lies flat has no height
+        values = {key: value for key, value in values.items() if key != 'height_m'}
     heading_deg = values['heading_deg']
     x_m, y_m, yaw_rad = line.pose(values['x_m'], values['y_m'], math.radians(heading_deg))
     placed = {**values, 'x_m': x_m, 'y_m': y_m}
@@ -154,9 +167,8 @@ def _ground_object(thing: Any) -> dict[str, Any]:
         'kind': kind, **_map_place(thing.position),
         'heading_deg': math.degrees(thing.heading),
         'length_m': float(thing.length), 'width_m': float(thing.width),
+        'height_m': float(thing.height),
     }
-    if kind in KINDS and KINDS[str(kind)].solid:
-        values['height_m'] = float(thing.height)
     if colour := plain_value(COLOUR, getattr(thing, COLOUR)):
         values['colour'] = colour
     if thing.behavior is not None:
@@ -211,11 +223,9 @@ def _map_place(point: Any) -> dict[str, float]:
 
 
 def plane_property(plane: Any, key: str) -> Any:
-    """An aircraft's property for a key; None if it has none.
-
-    World models older than the keys with units have short forms only.
-    """
-    return getattr(plane, key, getattr(plane, other_form(key), None))
+    """An aircraft's property for a key, or that of its short form; None if it has neither."""
+    short = next((short for short, long in SHORT_PLANE_KEYS.items() if long == key), key)
+    return getattr(plane, key, getattr(plane, short, None))
 
 
 def check_level(plane: Any, place: Place | None = None) -> None:

@@ -17,28 +17,25 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import random
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from numbers import Real
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import numpy as np
-import scenic
 from scenic.core import distributions, external_params
 from scenic.syntax import veneer
 
 from taxinet_ros.samplers.space import Dimension
+from taxinet_ros.scenes.constructs import program_frame
 from taxinet_ros.scenes.program_sampler import BUCKETED, PARAMS, TYPE, VERIFAI_BUCKETS
-from taxinet_ros.scenes.search_space import tail_of
 from taxinet_ros.scenes.values import REJECTION_FEEDBACK, Place, ProgramError
 
 _MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
+_FAR_SIGMAS = 5.0
+"""Distance from the mean at which the distribution function has lost half of its digits."""
 _PARTS = {'low': 'the low end', 'high': 'the high end', 'mean': 'the mean',
           'stddev': 'the standard deviation'}
-_NO_PROGRAMS = (str(Path(scenic.__file__).parent), __file__)
 
 
 class _Buckets:
@@ -62,7 +59,7 @@ def install() -> None:
     whole.__init__ = _checking_weights(whole.__init__)
     for kind in (distributions.Range, distributions.Normal, bell, whole):
         kind.__init__ = _remembering(kind.__init__)
-    bell.sampleGiven = _with_tails(bell.sampleGiven)
+    bell.sampleGiven = _within_reach(bell.sampleGiven)
     # Scenic takes a choice // 1 for the choice.
     distributions.Distribution.__floordiv__ = lambda choice, divisor: (
         distributions.OperatorDistribution('__floordiv__', choice, (divisor,), {}))
@@ -83,7 +80,7 @@ def sampler_request(
         places: place where each of them is set.
 
     Raises:
-        ProgramError: a sampler defined by the program, or parameters that are no plain values.
+        ProgramError: a sampler defined by the program, or a parameter of the wrong type.
     """
     own = params.get('externalSampler', external_params.VerifaiSampler)
     if own is not external_params.VerifaiSampler:
@@ -101,37 +98,27 @@ def sampler_request(
             places.get(REJECTION_FEEDBACK),
         )
     kind, given = params.get(TYPE), params.get(PARAMS) or {}
-    if not isinstance(kind, (str, type(None))):
-        raise ProgramError(f'{TYPE} is a {type(kind).__name__}; it has to be a word',
-                           places.get(TYPE))
     if not isinstance(given, Mapping):
         raise ProgramError(f'{PARAMS} is a {type(given).__name__}; it has to be a DotMap or a dict',
                            places.get(PARAMS))
-    plain = _plain(given, places.get(PARAMS))
+    plain = _plain(given)
     if kind in BUCKETED:
         _cut_ranges(plain, places.get(PARAMS))
     return {
-        'kind': kind, 'params': plain,
+        'kind': kind and str(kind), 'params': plain,
         'feedback': None if feedback is None else float(feedback),
         'places': {name: places[name] for name in (TYPE, PARAMS) if name in places},
     }
 
 
-def _plain(values: Mapping[str, Any], place: Place | None) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if name.startswith('_'):
-            continue  # Scenic looks up its own attributes, and a DotMap creates them
-        if isinstance(value, Mapping):
-            found[name] = _plain(value, place)
-        elif value is None or isinstance(value, (bool, int, float, str)):
-            found[name] = value
-        elif isinstance(value, (list, tuple, np.ndarray)):
-            found[name] = str(value)  # only for display: no sampler here takes one
-        else:
-            raise ProgramError(f'{PARAMS}.{name} is a {type(value).__name__}; it has to be a '
-                               'plain number', place)
-    return found
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values; what no sampler here takes is only shown."""
+    return {
+        name: _plain(value) if isinstance(value, Mapping)
+        else value if isinstance(value, (bool, int, float, type(None))) else str(value)
+        for name, value in values.items()
+        if not name.startswith('_')  # Scenic looks up its own attributes: a DotMap creates them
+    }
 
 
 def _cut_ranges(params: Mapping[str, Any], place: Place | None) -> None:
@@ -216,12 +203,8 @@ class VerifaiParameter:
 
     @staticmethod
     def withPrior(prior: Any, buckets: Any = None) -> Any:  # noqa: N802 (Scenic's name)
-        """A choice with any prior, not approximated: a range, a normal or options.
-
-        ``buckets`` may be a list of bucket edges; the search here uses equal buckets only.
-        """
-        number = buckets if isinstance(buckets, int) else None
-        _marked(prior.index if _is_options(prior) else prior, number)
+        """A choice with any prior, not approximated: a range, a normal or options."""
+        _marked(prior.index if _is_options(prior) else prior, buckets)
         return prior
 
 
@@ -229,7 +212,9 @@ def _is_options(prior: Any) -> bool:
     return isinstance(prior, distributions.MultiplexerDistribution)
 
 
-def _marked(choice: Any, buckets: int | None) -> Any:
+def _marked(choice: Any, buckets: Any) -> Any:
+    if buckets is not None and (type(buckets) is not int or buckets < 1):
+        raise ValueError(f'buckets is {buckets!s:.80}; it has to be a whole number above 0')
     setattr(choice, _MARK, buckets)
     _Buckets.some_say |= buckets is not None
     return choice
@@ -240,10 +225,7 @@ def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
     def init(self: Any, *args: Any, **kwargs: Any) -> None:
         initialise(self, *args, **kwargs)
         _check_numbers(self)
-        frame: FrameType | None = sys._getframe(1)
-        while frame is not None and frame.f_code.co_filename.startswith(_NO_PROGRAMS):
-            frame = frame.f_back
-        if frame is not None:
+        if (frame := program_frame()) is not None:
             setattr(self, _PLACE, _place(frame))
 
     return init
@@ -283,19 +265,30 @@ def _check_numbers(choice: Any) -> None:
         if least is not None and least < 0:
             said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
             raise ValueError(f'{_PARTS["stddev"]} of a {kind} is {said}; it has to be 0 or more')
+    if isinstance(choice, distributions.TruncatedNormal) and not choice._dependencies:
+        check_reach(choice.mean, choice.stddev, choice.low, choice.high)
     if isinstance(choice, distributions.DiscreteRange):
         least, most = choice.supportInterval()
         if None not in (least, most) and most < least + 1 and math.floor(most) < math.ceil(least):
             raise ValueError(f'a {kind} from {least:g} to {most:g} has no whole number')
 
 
-def _with_tails(sample: Callable[..., float]) -> Callable[..., float]:
+def _within_reach(sample: Callable[..., float]) -> Callable[..., float]:
     @functools.wraps(sample)
     def sample_given(self: Any, given: Mapping[Any, Any]) -> float:
-        tail = tail_of(given[self.mean], given[self.stddev], self.low, self.high)
-        return sample(self, given) if tail is None else tail(random.random())
+        check_reach(given[self.mean], given[self.stddev], self.low, self.high)
+        return sample(self, given)
 
     return sample_given
+
+
+def check_reach(mean: float, stddev: float, low: float, high: float) -> None:
+    """Refuse a truncated normal so far from its mean that its inverse function loses digits."""
+    if stddev == 0 or low - mean > _FAR_SIGMAS * stddev or mean - high > _FAR_SIGMAS * stddev:
+        raise ValueError(
+            f'a TruncatedNormal from {low:g} to {high:g} lies more than {_FAR_SIGMAS:g} standard '
+            f'deviations of {stddev:g} from its mean {mean:g}; write Range(LOW, HIGH)'
+        )
 
 
 def _place(frame: FrameType) -> list[Any] | None:

@@ -22,13 +22,14 @@ from taxinet_ros.core.scenario_fields import (
     RUNWAY_STATES,
     SCENARIO_FIELDS,
     SHORT_FORMS,
+    TRAFFIC,
     Kind,
     ScenarioField,
     by_key,
     clock_words,
-    other_form,
 )
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes import values
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import table
 
@@ -138,11 +139,15 @@ def test_given_a_key_when_its_value_goes_out_and_in_again_then_it_is_the_same(fi
 def test_given_a_short_form_then_it_is_the_key_without_its_unit_and_means_the_same():
     for short, key in SHORT_FORMS.items():
         assert re.fullmatch(rf'{short}_[a-z]+', key)
-        assert (other_form(short), other_form(key)) == (key, short)
         assert by_key({short: 1, 'clouds': 2, 'fog': 3}) == {key: 1, 'clouds': 2, 'fog': 3}
         with pytest.raises(UsageError, match=f'{short} and {key} are the same; leave one out'):
             by_key({key: 1, short: 1})
-    assert other_form('clouds') == other_form('fog') == ''
+
+
+def test_the_scenic_child_has_the_names_of_the_keys_that_it_knows_without_this_table():
+    assert values.PLANE_KEYS == PLANE_KEYS
+    assert values.SHORT_PLANE_KEYS.items() <= SHORT_FORMS.items()
+    assert TRAFFIC.key == values.TRAFFIC_KEY
 
 
 @pytest.mark.parametrize('field', NUMBERS, ids=keys)

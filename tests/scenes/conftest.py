@@ -9,6 +9,9 @@ from typing import Any
 import pytest
 from scenic_client import scenic_child
 
+from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.parameters import checked_overrides, checked_parameters
+
 
 @pytest.fixture(scope='module')
 def client() -> Iterator[Any]:
@@ -26,8 +29,20 @@ def write(tmp_path: Path) -> Callable[[str], Path]:
 
 @pytest.fixture
 def compiled(client: Any, write: Any) -> Callable[[str], dict[str, Any]]:
-    """Compile a program; the answer."""
-    return lambda text: client.ask(op='compile', program=str(write(text)))
+    """Compile a program, and check its parameters as a command does; the answer or the error."""
+    def compile_text(text: str) -> dict[str, Any]:
+        path = write(text)
+        said: dict[str, Any] = client.ask(op='compile', program=str(path))
+        try:
+            if 'error' not in said:
+                checked_overrides(path, said['overrides'])
+                checked_parameters(path, said['params'], said['objects'], said['random_objects'])
+        except UsageError as error:
+            file, line, message = str(error).split(':', 2)
+            said = {'error': {'file': file, 'line': int(line), 'message': message.lstrip()}}
+        return said
+
+    return compile_text
 
 
 @pytest.fixture

@@ -263,27 +263,28 @@ def test_a_source_without_its_last_line_end_is_stored_as_with_it(tmp_path: Path)
     assert text == '# --- main.scenic ---\nmodel runway_world\n'
 
 
-def test_documents_of_one_name_from_outside_are_written_as_two_files(tmp_path: Path) -> None:
+def test_documents_of_one_name_from_outside_are_not_written(tmp_path: Path) -> None:
     (tmp_path / 'out').mkdir()
     program = write(tmp_path / 'there', **{
         'main.scenic': 'model runway_world\nfrom lib import SECOND, THIRD\n'
-                       "param camera = Uniform('../A/cam.yaml', SECOND, THIRD)\n"
+                       "param camera = Uniform(SECOND, THIRD, '../A/cam.yaml')\n"
                        'ego = new Plane at (0, 400)\n',
         'lib.py': "SECOND, THIRD = '../B/cam.yaml', '../there/../B/cam.yaml'\n",
         '../A/cam.yaml': _CAMERA.format(name='one', pitch=-3),
         '../B/cam.yaml': _CAMERA.format(name='two', pitch=-4),
     })
-    copy = tmp_path / 'out' / 'scenes.scenic'
+    copy, text = tmp_path / 'out' / 'scenes.scenic', program_text(program)
+    with pytest.raises(UsageError, match=r'beside it, cam\.yaml is another file'):
+        write_program(copy, program.read_text(), text)
+    assert not list(copy.parent.iterdir())
+    program.write_text(program.read_text().replace(", '../A/cam.yaml'", ''))
     with SceneSource(program, seed=3) as source:
-        cameras = [source.scene(index).camera for index in range(8)]
-        text = source.text
+        cameras, text = [source.scene(index).camera for index in range(8)], source.text
     write_program(copy, program.read_text(), text)
     for name in 'AB':
         (tmp_path / name / 'cam.yaml').unlink()
-    assert len({*cameras}) == 2
     with SceneSource(copy, seed=3) as source:
         assert [source.scene(index).camera for index in range(8)] == cameras
-    assert len([*(tmp_path / 'out').glob('*cam.yaml')]) == 2
 
 
 def test_a_document_whose_name_no_source_has_is_not_written(tmp_path: Path) -> None:
@@ -298,7 +299,6 @@ MOVED = 'base: {base}\ndz_m: -0.1\n'
 MOVED_ONES = {
     'beside': ('moved.yaml', 'base.yaml', 'base.yaml'),
     'in a folder': ('rig/moved.yaml', '../base.yaml', 'base.yaml'),
-    'of another folder': ('rig/moved.yaml', '../../A/base.yaml', '../A/base.yaml'),
     'outside': ('../A/moved.yaml', 'base.yaml', '../A/base.yaml'),
 }
 
@@ -323,3 +323,11 @@ def test_the_camera_that_a_document_moves_is_of_the_program(case: str, tmp_path:
     (scene,) = sample_scenarios(copy, 0, 1)
     assert scene.camera == camera
     assert find_camera(camera).name == 'mine'
+
+
+def test_a_document_that_moves_a_camera_of_another_folder_is_not_written(tmp_path: Path) -> None:
+    text = ('# --- main.scenic ---\nx = 1\n# --- rig/moved.yaml ---\nbase: ../../A/base.yaml\n'
+            '# --- ../A/base.yaml ---\nname: one\n')
+    with pytest.raises(UsageError, match=r'\.\./\.\./A/base\.yaml, base of rig/moved\.yaml, is in'):
+        write_program(tmp_path / 'scenes.scenic', "camera = 'rig/moved.yaml'\n", text)
+    assert not list(tmp_path.iterdir())

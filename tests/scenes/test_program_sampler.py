@@ -55,8 +55,7 @@ def test_s4_every_sampler_here_can_be_named() -> None:
 
 
 @pytest.mark.parametrize(('kind', 'params', 'message'), [
-    ('eg', {}, "mine.scenic:3: verifaiSamplerType = 'eg': epsilon-greedy raises"),
-    ('sa', {}, "mine.scenic:3: verifaiSamplerType = 'sa': VerifAI refuses simulated annealing"),
+    ('eg', {}, "mine.scenic:3: verifaiSamplerType = 'eg' is unknown; known: random"),
     ('haltom', {}, "mine.scenic:3: verifaiSamplerType = 'haltom' is unknown; known: random"),
     ('ce', {'alpha': 2}, 'mine.scenic:3: sampler ce: alpha=2: needs to be within'),
     ('ce', {'thres': 0.5}, 'mine.scenic:4: verifaiSamplerParams.thres = 0.5: only 0 can be had'),
@@ -126,15 +125,14 @@ def test_s4_an_option_that_the_programs_sampler_lacks_is_refused_before_anything
 
 
 def test_s4_the_parameters_of_a_program_are_read_with_their_lines(
-    client: Any, compiled: Any, tmp_path: Path
+    compiled: Any, tmp_path: Path
 ) -> None:
     text = (
         'param verifaiSamplerType = "ce",\\\n    verifaiSamplerParams = DotMap(alpha=0.95,\\\n'
         '        cont=DotMap(buckets=4, dist=None))\n'
     )
-    assert compiled(PLANE + text + EGO)['named'] == []
     path = str(tmp_path / 'mine.scenic')
-    assert client.ask(op='asked')['sampler'] == {
+    assert compiled(PLANE + text + EGO)['sampler'] == {
         'kind': 'ce', 'params': {'alpha': 0.95, 'cont': {'buckets': 4, 'dist': None}},
         'feedback': None,
         'places': {'verifaiSamplerType': [path, 3], 'verifaiSamplerParams': [path, 3]},
@@ -159,11 +157,7 @@ def test_s4_ranges_are_cut_as_the_program_says(
 
 
 @pytest.mark.parametrize(('text', 'line', 'message'), [
-    ('param verifaiSamplerType = 3\n', 3, 'verifaiSamplerType is a int; it has to be a word'),
-    ('param verifaiSamplerType = Uniform("ce", "mab")\n', 3, 'verifaiSamplerType is a Options'),
     ('param verifaiSamplerParams = 3\n', 3, 'verifaiSamplerParams is a int; it has to be a DotMap'),
-    (CE + 'param verifaiSamplerParams = {"alpha": Range(0, 1)}\n', 4,
-     'verifaiSamplerParams.alpha is a Range; it has to be a plain number'),
     (CE + 'param verifaiSamplerParams = {"cont": {"buckets": [3, 4]}}\n', 4,
      'verifaiSamplerParams.cont.buckets is [3, 4]; it has to be a whole number above 0'),
     (CE + 'param verifaiSamplerParams = {"cont": {"buckets": 3}}\n'
@@ -174,6 +168,19 @@ def test_s4_parameters_that_cannot_be_read_are_refused_with_their_line(
     refused: Any, text: str, line: int, message: str
 ) -> None:
     refused(PLANE + text + EGO, line, message)
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('param verifaiSamplerType = 3\n', ":3: verifaiSamplerType = '3' is unknown; known: random"),
+    ('param verifaiSamplerType = Uniform("ce", "mab")\n', ':3: verifaiSamplerType = .* is unknown'),
+    (CE + 'param verifaiSamplerParams = {"alpha": Range(0, 1)}\n',
+     r':3: sampler ce: alpha=Range\(0.0, 1.0\)'),
+])
+def test_s4_a_sampler_by_chance_is_refused_with_its_line(
+    write: Any, text: str, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message), SceneSource(write(PLANE + text + EGO), seed=0):
+        pass
 
 
 def test_s4_the_external_sampler_that_scenic_has_itself_may_be_named(compiled: Any) -> None:

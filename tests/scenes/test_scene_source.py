@@ -77,28 +77,6 @@ def test_given_a_loop_that_swallows_everything_when_compiled_then_it_is_killed(
         pass
 
 
-@pytest.mark.parametrize(('when', 'line'), [
-    ('compiled', '{}'), ('compiled', '{"error": {"file": "x", "line": 1, "message": "y"}}'),
-    ('drawn', '{"rejected": 1, "ticket": ""}'), ('drawn', '{"values": '),
-])
-def test_f7_given_a_program_that_writes_answers_itself_then_one_line_says_so(
-    when: str, line: str, write: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    forge = (
-        'import os\nfrom scenic.core.distributions import distributionFunction\n'
-        '@distributionFunction\ndef forge(x):\n'
-        '    for fd in range(3, 1024):\n        try:\n'
-        f'            os.write(fd, {(line + chr(10)).encode()!r})\n'
-        '        except OSError:\n            pass\n    return x\n'
-    )
-    value = 'forge(Range(0, 1))' if when == 'drawn' else 'forge(0.5)'
-    path = write(f'{forge}{PLANE}param rain = {value}\nparam clouds = "broken"\n')
-    with pytest.raises(UsageError) as caught, SceneSource(path, seed=1) as source:
-        source.scene(0)
-    assert str(caught.value) == 'mine.scenic: the program has meddled with the Scenic process'
-
-
 def test_given_two_programs_then_one_server_has_imported_scenic_and_nothing_of_the_first_stays(
     write: Any,
 ) -> None:
