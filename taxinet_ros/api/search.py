@@ -36,7 +36,6 @@ from taxinet_ros.registry import KMWH
 from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.samplers.splitting import RareEstimate
 from taxinet_ros.trials.campaign import exit_code
-from taxinet_ros.trials.cluster.connection import Cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.loop_run import campaign_loop
 from taxinet_ros.trials.loop_worker import loop_worker_command
@@ -198,7 +197,7 @@ def estimate(
 
 
 @contextlib.contextmanager
-def _opened(search: Search) -> Iterator[Cluster | None]:
+def _opened(search: Search) -> Iterator[ClusterPool | None]:
     """Context of an open search and of its cluster, if it has one."""
     with contextlib.ExitStack() as opened:
         led = None
@@ -212,17 +211,15 @@ def _opened(search: Search) -> Iterator[Cluster | None]:
         yield led
 
 
-def _execute(search: Search, led: Cluster | None) -> None:
+def _execute(search: Search, led: ClusterPool | None) -> None:
     """Execute the runs of an open search on its workers."""
     options, facts = search.options, search.book.facts
     system = recorded_system(options.campaign, facts)
     command = loop_worker_command(campaign_loop(options.campaign, system))
-    out = options.campaign.out
-    pool = WorkerPool(command, options.workers, out / 'logs') if led is None else ClusterPool(
-        led, command, out, fingerprint=facts['perception_sha256'],
-        on_machine=search.book.add_machine,
-    )
-    with pool:
+    with (
+        WorkerPool(command, options.workers, options.campaign.out / 'logs') if led is None else
+        led.making(command, facts, search.book.add_machine)
+    ) as pool:
         run_search(search, pool)
 
 

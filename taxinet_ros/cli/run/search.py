@@ -37,9 +37,8 @@ from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.trials.campaign import exit_code
-from taxinet_ros.trials.cluster.connection import Cluster
+from taxinet_ros.trials.cluster.machine import OUT
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.trials.cluster.task import OUT
 from taxinet_ros.trials.experiment import (
     JSON_NAME,
     PAGE_NAME,
@@ -183,7 +182,7 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 
 def _open_cluster(
     options: SearchOptions | ShrinkOptions, console: Console
-) -> contextlib.AbstractContextManager[Cluster | None]:
+) -> contextlib.AbstractContextManager[ClusterPool | None]:
     """Context of the connected cluster of a search, or of None."""
     if not options.cluster:
         return contextlib.nullcontext()
@@ -194,23 +193,23 @@ def _open_cluster(
     return campaign_cluster(options.campaign, options.cluster, tell=tell)
 
 
-def run_on_workers(search: Search | Shrinking, cluster: Cluster | None = None) -> None:
+def run_on_workers(search: Search | Shrinking, cluster: ClusterPool | None = None) -> None:
     """Execute the runs of an open search on its workers; Ctrl-C ends it in order."""
     with interrupts(search.interrupt), _pool(search, cluster) as pool:
         run_search(search, pool)
 
 
-def _pool(search: Search | Shrinking, cluster: Cluster | None) -> WorkerPool | ClusterPool:
+def _pool(
+    search: Search | Shrinking, cluster: ClusterPool | None
+) -> contextlib.AbstractContextManager[WorkerPool | ClusterPool]:
     options, facts = search.options, search.book.facts
     campaign = options.campaign
     if cluster is None:
         command = campaign_worker_command(campaign, facts)
         return WorkerPool(command, options.workers, campaign.out / 'logs')
     elsewhere = dataclasses.replace(campaign, out=Path(OUT))
-    return ClusterPool(
-        cluster, campaign_worker_command(elsewhere, facts), campaign.out,
-        fingerprint=facts['perception_sha256'], on_machine=search.book.add_machine,
-    )
+    command = campaign_worker_command(elsewhere, facts)
+    return cluster.making(command, facts, search.book.add_machine)
 
 
 def run_experiment(

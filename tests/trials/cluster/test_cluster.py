@@ -22,10 +22,10 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.trials import search as search_module
-from taxinet_ros.trials.cluster import connection
+from taxinet_ros.trials.cluster import connection, pool
 from taxinet_ros.trials.cluster.connection import check_cluster
-from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.trials.cluster.task import OUT
+from taxinet_ros.trials.cluster.machine import OUT
+from taxinet_ros.trials.cluster.pool import campaign_cluster
 from taxinet_ros.trials.record.facts import STACKS, read_facts
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
@@ -113,13 +113,13 @@ def there(
     with (
         campaign_cluster(chosen.campaign, where, tell=told.append) as cluster,
         Search(chosen, ('perception',), lambda row: kept.append(row.index)) as search,
-        ClusterPool(
-            cluster, [sys.executable, str(TOY), OUT, str(out.parent)], out,
-            on_machine=search.book.add_machine,
-        ) as pool,
+        cluster.making(
+            [sys.executable, str(TOY), OUT, str(out.parent)], search.book.facts,
+            search.book.add_machine,
+        ),
     ):
         source: RunSource = Watched(search, acts)
-        run_search(source, pool)
+        run_search(source, cluster)
     assert acts == {}
     assert len(kept) == len(set(kept)), 'each run has one result'
     return search
@@ -253,7 +253,7 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
         for process in strange:
             kill(process)
     assert len(told) == 2, told
-    assert sum('taxinet_ros of other files' in line for line in told) == 1, told
+    assert sum('files of taxinet_ros' in line for line in told) == 1, told
     assert sum('numpy_features X86_V2' in line for line in told) == 1, told
     assert all(line.endswith('; it gets no runs') for line in told)
     (tmp_path / 'pace').unlink()
@@ -264,7 +264,7 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
 def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     processes, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(connection, '_PATIENCE_S', 0.5)
+    monkeypatch.setattr(pool, '_PATIENCE_S', 0.5)
     told: list[str] = []
     out = tmp_path / 'there'
     (tmp_path / 'weights').write_text('0' * 64)
@@ -273,12 +273,12 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
         pytest.raises(InfraError, match='has another perception now'),
         campaign_cluster(chosen.campaign, processes.address, tell=told.append) as cluster,
         Search(chosen, ('perception',)) as search,
-        ClusterPool(
-            cluster, [sys.executable, str(TOY), OUT, str(tmp_path)], out,
-            fingerprint='1' * 64,
-        ) as pool,
+        cluster.making(
+            [sys.executable, str(TOY), OUT, str(tmp_path)],
+            {**search.book.facts, 'perception_sha256': '1' * 64},
+        ),
     ):
-        run_search(search, pool)
+        run_search(search, cluster)
     assert len(told) == 2
     assert all('has another perception now (sha256 000000000000' in line for line in told)
     assert not [row for row in search.rows if row.outcome.judged]
