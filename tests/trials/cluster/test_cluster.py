@@ -135,8 +135,8 @@ def check_whole(out: Path, other: Path) -> None:
 
 @pytest.mark.parametrize('changes', [
     {'sampler': 'ce'},
-    pytest.param({'sampler': 'ce', 'lag': 3}, marks=pytest.mark.nightly),
-    pytest.param({'sampler': 'halton'}, marks=pytest.mark.nightly),
+    {'sampler': 'ce', 'lag': 3},
+    {'sampler': 'halton'},
 ], ids=['adaptive', 'another lag', 'by index'])
 def test_given_a_cluster_then_it_makes_the_rows_of_the_local_pool(
     processes, here, tmp_path, changes
@@ -148,7 +148,6 @@ def test_given_a_cluster_then_it_makes_the_rows_of_the_local_pool(
     assert list(read_facts(tmp_path / 'there')[STACKS].values()) == [dict(provenance())]
 
 
-@pytest.mark.nightly
 def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
     processes, here, tmp_path
 ):
@@ -168,7 +167,6 @@ def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
     check_whole(out, here())
 
 
-@pytest.mark.nightly
 def test_given_two_campaigns_at_once_then_each_has_its_own_rows(processes, here, tmp_path):
     outs = [tmp_path / 'one', tmp_path / 'two']
     (tmp_path / 'pace').write_text('0.01')
@@ -211,8 +209,10 @@ def test_given_a_worker_and_a_child_killed_during_the_campaign_then_nothing_is_l
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
-@pytest.mark.nightly
-def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_keeps_what_it_had(here, tmp_path):
+def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_another_cluster_goes_on(
+    here, tmp_path
+):
+    """The other one, too, has one worker, and loses it to another."""
     (tmp_path / 'dask').mkdir()
     (tmp_path / 'pace').write_text('0.03')
     out = tmp_path / 'there'
@@ -225,13 +225,17 @@ def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_keeps_what_it_ha
             )
     assert 8 <= len(read_table(out)) < RUNS
     with DaskProcesses(tmp_path / 'dask') as processes:
-        processes.add_worker()
-        there(processes.address, out, [], sampler='halton', resume=True)
+        only = processes.add_worker()
+
+        def replace(search: Search) -> None:  # with runs that wait for it
+            kill(only)
+            processes.add_worker()
+
+        there(processes.address, out, [], {20: replace}, sampler='halton', resume=True)
     (tmp_path / 'pace').unlink()
     check_whole(out, here(sampler='halton'))
 
 
-@pytest.mark.nightly
 def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_none(
     processes, here, tmp_path
 ):
@@ -260,7 +264,6 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
-@pytest.mark.nightly
 def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     processes, tmp_path, monkeypatch
 ):
@@ -284,7 +287,6 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     assert not [row for row in search.rows if row.outcome.judged]
 
 
-@pytest.mark.nightly
 def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_takes_part(
     here, tmp_path, monkeypatch
 ):
