@@ -36,7 +36,6 @@ from taxinet_ros.registry import KMWH
 from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.samplers.splitting import RareEstimate
 from taxinet_ros.trials.campaign import exit_code
-from taxinet_ros.trials.cluster.connection import Cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.loop_run import campaign_loop
@@ -193,7 +192,7 @@ def estimate(
 
 
 @contextlib.contextmanager
-def _opened(search: Engine[Search]) -> Iterator[Cluster | None]:
+def _opened(search: Engine[Search]) -> Iterator[ClusterPool | None]:
     """Context of an open search and of its cluster, if it has one."""
     with contextlib.ExitStack() as opened:
         led = None
@@ -207,16 +206,14 @@ def _opened(search: Engine[Search]) -> Iterator[Cluster | None]:
         yield led
 
 
-def _execute(search: Engine[Search], led: Cluster | None) -> None:
+def _execute(search: Engine[Search], led: ClusterPool | None) -> None:
     """Execute the runs of an open search on its workers."""
     options, facts = search.options, search.book.facts
     command = loop_worker_command(campaign_loop(options, recorded_system(options, facts)))
-    out = options.out
-    pool = WorkerPool(command, options.workers, out / 'logs') if led is None else ClusterPool(
-        led, command, out, fingerprint=facts['perception_sha256'],
-        on_machine=search.book.add_machine,
-    )
-    with pool:
+    with (
+        WorkerPool(command, options.workers, options.out / 'logs') if led is None else
+        led.making(command, facts, search.book.add_machine)
+    ) as pool:
         run_search(search, pool)
 
 

@@ -141,7 +141,7 @@ class Record:
             self._connection.close()
             self._connection = None
         if self._lock >= 0:
-            os.close(self._lock)
+            _unlock(self._path, self._lock)
             self._lock = -1
 
     def _open(self) -> sqlite3.Connection:
@@ -279,7 +279,7 @@ def repair_record(path: Path) -> str:
         sync_folder(path.parent)
         return f'{path}: damaged ({why}); kept as {copy.name}; what it lacks is made again'
     finally:
-        os.close(lock)
+        _unlock(path, lock)
 
 
 def repaired(record: Record) -> None:
@@ -502,29 +502,44 @@ def _inode(path: Path) -> tuple[int, int]:
 
 
 def _lock(path: Path) -> int:
-    """Lock the folder of a record, until the descriptor is closed.
+    """Lock a record until :func:`_unlock`, for all machines that see it.
 
-    SQLite's own locks end with every close of the file in this process, so the folder is locked;
-    on NFS, where only files open for writing can be, a file beside the record.
+    A file beside it is locked. SQLite's own locks end with every close of the record in this
+    process, and a lock of the folder would hold on this machine only: network file systems pass on
+    those of files (Linux, ``fs/nfs/dir.c`` has no ``flock``).
     """
+    file = _lock_file(path)
+    while True:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise UsageError(f'{path}: another command is writing to it') from None
+        except OSError as error:
+            _unlock(path, descriptor)
+            raise UsageError(_NO_LOCKS.format(path, error.strerror)) from error
+        status = os.fstat(descriptor)
+        if _inode(file) == (status.st_dev, status.st_ino):
+            return descriptor
+        os.close(descriptor)  # the command that held it has just removed it
+
+
+def _unlock(path: Path, descriptor: int) -> None:
+    with contextlib.suppress(OSError):  # it may stay, as after a killed command
+        _lock_file(path).unlink()
+    os.close(descriptor)
+
+
+def _lock_file(path: Path) -> Path:
     path = path.resolve()
-    try:
-        return _locked(path, path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:
-        return _locked(path, path.with_name(f'.{path.name}.lock'), os.O_RDWR | os.O_CREAT)
+    return path.with_name(f'.{path.name}.lock')
 
 
-def _locked(path: Path, what: Path, flags: int) -> int:
-    descriptor = os.open(what, flags | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise UsageError(f'{path}: another command is writing to it') from None
-    except OSError as error:
-        os.close(descriptor)
-        raise disk_error(what, error) from error
-    return descriptor
+_NO_LOCKS = (
+    '{}: its file system locks no files ({}), so commands could overwrite the entries of each '
+    'other; choose an --out on another, or mount it with locks'
+)
 
 
 @contextlib.contextmanager
@@ -538,6 +553,8 @@ def _named(path: Path) -> Iterator[None]:
             'FULL': errno.ENOSPC, 'READONLY': errno.EROFS, 'CANTOPEN': errno.EACCES,
             'BUSY': errno.EBUSY, 'LOCKED': errno.EBUSY,
         }
+        if name.startswith('SQLITE_IOERR') and 'LOCK' in name:
+            raise UsageError(_NO_LOCKS.format(path, error)) from error
         for word, code in codes.items():
             if name.startswith(f'SQLITE_{word}'):
                 raise OSError(code, os.strerror(code), str(path)) from error

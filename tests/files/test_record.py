@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
 import random
 import re
 import resource
 import signal
 import sqlite3
+import stat
 import subprocess
 import sys
 import time
@@ -79,6 +83,32 @@ def test_one_command_writes_at_a_time(tmp_path: Path) -> None:
             with pytest.raises(UsageError, match='another command is writing to it'):
                 other()
     Record(tmp_path / 'campaign.db').close()
+    assert [file.name for file in tmp_path.iterdir()] == ['campaign.db']
+
+
+def test_the_lock_is_one_of_a_file_as_network_file_systems_pass_on_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On NFS, CIFS and FUSE a lock of a folder holds on one machine only."""
+    locked: list[int] = []
+    monkeypatch.setattr(fcntl, 'flock', lambda descriptor, how: locked.append(
+        os.fstat(descriptor).st_mode
+    ))
+    make(tmp_path / 'campaign.db')
+    assert [stat.S_ISREG(mode) for mode in locked] == [True]
+
+
+@pytest.mark.parametrize('number', [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL])
+def test_a_file_system_without_locks_is_refused_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuse(descriptor: int, how: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, 'flock', refuse)
+    with pytest.raises(UsageError, match=r'campaign\.db: its file system locks no files \('):
+        Record(tmp_path / 'campaign.db')
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_change_is_whole_or_not_there(tmp_path: Path) -> None:

@@ -49,7 +49,6 @@ from taxinet_ros.trials.worker_pool import WorkerPool
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
-    from taxinet_ros.trials.cluster.connection import Cluster
     from taxinet_ros.trials.cluster.pool import ClusterPool
 
 
@@ -179,27 +178,26 @@ def _run_here(engine: Engine[ProgramOrder], graphs: _Graphs, foxglove: int | Non
                 running.clear()
 
 
-def run_on_workers(engine: Engine[Any], cluster: Cluster | None = None) -> None:
+def run_on_workers(engine: Engine[Any], cluster: ClusterPool | None = None) -> None:
     """Make the runs of an open campaign on its workers; Ctrl-C ends it in order."""
     with interrupts(engine.interrupt), _pool(engine, cluster) as pool:
         run_search(engine, pool)
 
 
-def _pool(engine: Engine[Any], cluster: Cluster | None) -> WorkerPool | ClusterPool:
+def _pool(
+    engine: Engine[Any], cluster: ClusterPool | None
+) -> contextlib.AbstractContextManager[WorkerPool | ClusterPool]:
     from taxinet_ros.nodes.graph.worker import campaign_worker_command  # ROS takes time to import
 
     options, facts = engine.options, engine.book.facts
     if cluster is None:
         command = campaign_worker_command(options, facts)
         return WorkerPool(command, options.workers, options.out / 'logs')
-    from taxinet_ros.trials.cluster.pool import ClusterPool
-    from taxinet_ros.trials.cluster.task import OUT
+    from taxinet_ros.trials.cluster.machine import OUT
 
     elsewhere = dataclasses.replace(options, out=Path(OUT))
-    return ClusterPool(
-        cluster, campaign_worker_command(elsewhere, facts), options.out,
-        fingerprint=facts['perception_sha256'], on_machine=engine.book.add_machine,
-    )
+    command = campaign_worker_command(elsewhere, facts)
+    return cluster.making(command, facts, engine.book.add_machine)
 
 
 def _view(port: int | None, graph: Graph) -> contextlib.AbstractContextManager[None]:

@@ -36,8 +36,7 @@ from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.trials.campaign import exit_code
-from taxinet_ros.trials.cluster.connection import Cluster
-from taxinet_ros.trials.cluster.pool import campaign_cluster
+from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.experiment import (
     JSON_NAME,
@@ -48,7 +47,7 @@ from taxinet_ros.trials.experiment import (
     arm_searches,
     check_paired,
 )
-from taxinet_ros.trials.options import AUDIT, GRAPH, CampaignOptions
+from taxinet_ros.trials.options import AUDIT, GRAPH
 from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.search import Search
@@ -183,7 +182,7 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 
 def _open_cluster(
     options: CampaignOptions, console: Console
-) -> contextlib.AbstractContextManager[Cluster | None]:
+) -> contextlib.AbstractContextManager[ClusterPool | None]:
     """Context of the connected cluster of a campaign, or of None."""
     if not options.cluster:
         return contextlib.nullcontext()

@@ -1,145 +1,89 @@
 """Whether a machine of a cluster would make the very runs that this one makes.
 
-A machine is described by a child process that starts as its runs do: processor class, versions,
-code, and the perception, controller and world that it finds under the campaign's names. Equal
-descriptions mean equal rows; what differs is named, and the machine gets no runs.
+A machine is described by facts: processor class, versions, code, and the perception, controller and
+world that it has under the campaign's names. Equal facts mean equal rows.
 """
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import functools
 import hashlib
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import taxinet_ros
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.provenance import COMMIT, NAMES, provenance
+from taxinet_ros.core.provenance import COMMIT, provenance
 from taxinet_ros.core.user_code import names_user_code
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.instructions import lacking
 from taxinet_ros.processes.child import child_environment, module_command
 from taxinet_ros.registry import PERCEPTIONS, find
+from taxinet_ros.trials.options import GRAPH, CampaignOptions
 
+PYTHON, OUT = '@PYTHON@', '@OUT@'
+"""Words in the command of a child for a machine's Python, and for the folder of its bags."""
 _START_S = 180.0
 _NOT_CODE = ('.pyc', '.so', '.cpp', '.hpp', '.pyi')
 """Files of the package that say nothing about its code, or that an installation may lack."""
-_OF_PROCESSOR = ('processor', 'processor_features', 'pixels')
-"""Facts in which machines of one class may differ without effect on our own networks."""
-_OF_GRAPH = ('rclpy', 'ros-fastrtps')
-_COMPARED = tuple(name for name in NAMES if name not in (*_OF_PROCESSOR, COMMIT))
-"""Facts that must be equal; in place of the commit, the files themselves are compared."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Needs:
-    """What a machine needs for the runs of a campaign.
-
-    Attributes:
-        perception, controller, gains, world: as in :class:`.CampaignOptions`.
-        graph: whether runs, or their audits, need ROS.
-        folder: working directory of the campaign, which relative names refer to.
-    """
-
-    perception: str
-    controller: str
-    gains: Mapping[str, float]
-    world: str
-    graph: bool
-    folder: str
-
-    @property
-    def any_processor(self) -> bool:
-        """Whether the perception gives the same bits on every processor of the class."""
-        if names_user_code(self.perception) or self.perception.endswith(ONNX_SUFFIX):
-            return False
-        with contextlib.suppress(UsageError):
-            extension = find(PERCEPTIONS, self.perception)
-            return extension is None or extension.shipped
-        return False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Machine:
-    """A machine on which runs may be made.
-
-    Attributes:
-        record: its provenance, see :mod:`taxinet_ros.core.provenance`.
-        code: SHA-256 of the files of this package.
-        lacking: what its processor lacks of the class for which bits are equal, or ''.
-        parts: SHA-256 of the perception, controller and world, by role.
-    """
-
-    record: Mapping[str, str]
-    code: str
-    lacking: str
-    parts: Mapping[str, str]
-
-
-def to_json(described: Needs | Machine) -> str:
-    """Text of a description; the same for equal ones."""
-    return json.dumps(dataclasses.asdict(described), sort_keys=True)
-
-
-@functools.cache
-def describe(needs: str) -> Machine:
-    """Describe this machine, once per process.
+def describe(parts: Sequence[str], folder: Path | None) -> dict[str, str]:
+    """Facts of this machine by name, from a child process that starts as runs do.
 
     Args:
-        needs: text of :class:`Needs`.
+        parts: perception, controller, its gains as JSON, and world.
+        folder: working directory of the child.
 
     Raises:
-        UsageError: it lacks a part, or the describing process failed.
+        UsageError: it lacks a part, or the child failed.
     """
-    folder = str(json.loads(needs)['folder'])
     try:
         done = subprocess.run(
-            module_command(__spec__.name, needs), env=child_environment(), capture_output=True,
-            text=True, timeout=_START_S, cwd=folder if os.path.isdir(folder) else None,
+            module_command(__spec__.name, *parts), env=child_environment(), cwd=folder,
+            capture_output=True, text=True, timeout=_START_S,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise UsageError(f'cannot be described: {error}') from error
     if done.returncode:
-        last = (done.stderr.strip().splitlines() or [f'exit code {done.returncode}'])[-1]
-        raise UsageError(f'cannot be described: {last}')
-    values = json.loads(done.stdout)
-    if 'error' in values:
-        raise UsageError(str(values['error']))
-    return Machine(**values)
+        raise UsageError((done.stderr.strip() or f'exit code {done.returncode}').splitlines()[-1])
+    return dict(json.loads(done.stdout))
 
 
-def difference(here: Machine, there: Machine, needs: Needs) -> str:
-    """The first thing in which another machine differs so that its runs may differ; '' if none."""
-    if here.lacking != there.lacking:
-        lacks = [f'its processor lacks {each.lacking}' if each.lacking else 'has all of x86-64-v3'
-                 for each in (there, here)]
-        return f'processor class: {lacks[0]}, the one here {lacks[1]}'
-    names = [name for name in _COMPARED if needs.graph or name not in _OF_GRAPH]
-    if not needs.any_processor:
-        names = ['processor_features', *names]
-    for name in names:
-        one, other = here.record.get(name, ''), there.record.get(name, '')
-        if one != other:
+def ignored_facts(campaign: CampaignOptions) -> set[str]:
+    """Facts in which machines may differ without effect on the results of a campaign."""
+    ignored = {'processor', 'pixels', COMMIT}  # in place of the commit, files are compared
+    if campaign.engine != GRAPH and not (campaign.bags and campaign.audit_percent > 0):
+        ignored |= {'rclpy', 'ros-fastrtps'}
+    word = campaign.perception
+    if not (names_user_code(word) or word.endswith(ONNX_SUFFIX)):
+        with contextlib.suppress(UsageError):
+            extension = find(PERCEPTIONS, word)
+            if extension is None or extension.shipped:  # equal bits on all processors of the class
+                ignored.add('processor_features')
+    return ignored
+
+
+def difference(
+    here: Mapping[str, str], there: Mapping[str, str], ignored: Collection[str]
+) -> str:
+    """The first fact in which another machine differs, in words; '' if there is none."""
+    for name in {**here, **there}:
+        one, other = (_short(facts.get(name, '')) for facts in (here, there))
+        if one != other and name not in ignored:
             return f'{name} {other or "missing"}, here {one or "missing"}'
-    if here.code != there.code:
-        return f'taxinet_ros of other files ({there.code[:12]}…, here {here.code[:12]}…)'
-    for role, sha256 in here.parts.items():
-        found = there.parts.get(role, '')
-        if found != sha256:
-            word = getattr(needs, role)
-            return f'{role} {word} is {found[:12] or "missing"}…, here {sha256[:12] or "none"}…'
     return ''
+
+
+def _short(value: str) -> str:
+    return f'{value[:12]}…' if len(value) == 64 else value
 
 
 def code_digest(package: Path) -> str:
@@ -155,25 +99,20 @@ def code_digest(package: Path) -> str:
     return digest.hexdigest()
 
 
-def main(words: Sequence[str]) -> int:
-    """Print the description of this machine, for :func:`describe`."""
-    needs = Needs(**json.loads(words[0]))
-    try:
-        parts = {
-            'perception': check_perception(needs.perception, graph=True),
-            'controller': check_controller(needs.controller, dict(needs.gains), graph=True),
-            'world': find_world(needs.world).fingerprint,
-        }
-    except UsageError as error:
-        told: dict[str, Any] = {'error': str(error)}
-    else:
-        told = dataclasses.asdict(Machine(
-            record=dict(provenance()), lacking=lacking(), parts=parts,
-            code=code_digest(Path(taxinet_ros.__file__).parent),
-        ))
-    print(json.dumps(told))
-    return 0
+def main(perception: str, controller: str, gains: str, world: str) -> None:
+    """Print the facts of this machine, for :func:`describe`."""
+    print(json.dumps({
+        'instructions': f'without {lacking()}' if lacking() else 'x86-64-v3',
+        **provenance(),
+        'files of taxinet_ros': code_digest(Path(taxinet_ros.__file__).parent),
+        f'perception {perception}': check_perception(perception, graph=True),
+        f'controller {controller}': check_controller(controller, json.loads(gains), graph=True),
+        f'world {world}': find_world(world).fingerprint,
+    }))
 
 
 if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))
+    try:
+        main(*sys.argv[1:])
+    except UsageError as error:
+        sys.exit(str(error))

@@ -1,7 +1,7 @@
 """The workers of a cluster as the pool of a campaign, behind the seam of :class:`.Executor`.
 
-Each run is one task of Dask. Its bag is moved into the campaign's folder with its result, so what a
-worker that was given up still writes is never taken.
+Each run is one task of Dask, which gives the runs of a lost or silent worker to others and counts
+how many workers a run has cost. A bag is moved into the campaign's folder with its result.
 """
 
 from __future__ import annotations
@@ -12,117 +12,155 @@ import dataclasses
 import json
 import math
 import os
+import queue
 import shutil
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.topics import RECORDER
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
-from taxinet_ros.errors import InfraKind, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.atomic import disk_error
-from taxinet_ros.trials.cluster.connection import Cluster, Tell
-from taxinet_ros.trials.cluster.machine import Needs
-from taxinet_ros.trials.cluster.task import PYTHON, run_task
-from taxinet_ros.trials.options import AUDIT, GRAPH, CampaignOptions
-from taxinet_ros.trials.record.facts import read_facts
-from taxinet_ros.trials.worker_pool import Answer, request_to_json, result_from_json
+from taxinet_ros.trials.cluster.connection import LOCAL, Tell, connection, one_line
+from taxinet_ros.trials.cluster.machine import PYTHON, describe, ignored_facts
+from taxinet_ros.trials.options import CampaignOptions
+from taxinet_ros.trials.worker_pool import Answer
 
 if TYPE_CHECKING:
-    from distributed import Future
+    from distributed import Client, Future
+
+    from taxinet_ros.trials.cluster.task import Done, Job
 
 _QUEUED = 2
 """Runs for each thread of a worker: one is made while another waits."""
+_WORKERS_S = 120.0
+"""Time limit for a first worker, and for the checks of those that are there."""
+_PATIENCE_S = 300.0
+"""Time without a fit worker after which the campaign ends."""
+_LOOK_S = 1.0
+_FIRST_LOOK_S = 0.05
 _INTERRUPT_S = 30.0
-_MOVE_S = 10.0
-_POLL_S = 0.01
-CLUSTER_FOLDER = Path('logs') / 'cluster'
-"""Folder within a campaign's for bags whose results are not taken yet."""
+_FETCH_S = 10.0
 
 
+@contextlib.contextmanager
 def campaign_cluster(
     campaign: CampaignOptions, where: str, *, tell: Tell = lambda line: None
-) -> Cluster:
-    """The cluster for a campaign, not yet connected.
+) -> Iterator[ClusterPool]:
+    """Context of a connected cluster, of which a worker may make runs of a campaign.
 
     Args:
         campaign: the campaign, whose folder need not exist yet.
         where: result of :func:`.connection.check_cluster`.
         tell: called with lines on what happens to the cluster.
+
+    Raises:
+        UsageError: Dask is missing, nothing answers at the address, or no worker is fit.
     """
-    needs = Needs(
-        perception=campaign.perception, controller=campaign.controller, world=campaign.world,
-        gains=campaign.gains, folder=os.getcwd(),
-        graph=campaign.engine == GRAPH or (campaign.bags and campaign.audit_percent > 0),
-    )
-    return Cluster(where, needs, out=campaign.out if campaign.bags else None, tell=tell)
+    out = campaign.out.absolute()
+    with (
+        connection(where, tell) as client,
+        _probe(out) if campaign.bags else contextlib.nullcontext() as probe,
+    ):
+        from taxinet_ros.trials.cluster.task import Job, check_worker
+
+        job = Job(
+            campaign=f'taxinet-{uuid.uuid4().hex[:12]}', folder=Path.cwd(),
+            bags=out / 'logs' / 'cluster' if campaign.bags else None,
+        )
+        gains = json.dumps(dict(campaign.gains))
+        parts = [campaign.perception, campaign.controller, gains, campaign.world]
+        check = partial(
+            check_worker, job, parts, None if where.startswith(LOCAL) else describe(parts, None),
+            ignored_facts(campaign), probe,
+        )
+        pool = ClusterPool(client, where, out, job, check, tell)
+        pool.wait_for_workers()
+        yield pool
+
+
+@contextlib.contextmanager
+def _probe(out: Path) -> Iterator[Path]:
+    """Context of a file by which workers see that they have the folder where ``out`` will be."""
+    folder = next(path for path in (out, *out.parents) if path.is_dir())
+    try:
+        descriptor, name = tempfile.mkstemp(prefix='.taxinet-', dir=folder)
+    except OSError as error:
+        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+    os.close(descriptor)
+    try:
+        yield Path(name)
+    finally:
+        Path(name).unlink(missing_ok=True)
 
 
 class ClusterPool:
-    """The pool of a connected cluster; a context manager.
+    """The workers of a connected cluster that are fit for a campaign.
 
     Attributes:
         interrupted: whether :meth:`interrupt` was called.
+        threads: number of runs at a time of all fit workers.
     """
 
     def __init__(
-        self, cluster: Cluster, command: Sequence[str], out: Path, *, fingerprint: str = '',
-        on_machine: Callable[[Provenance], None] = lambda record: None,
+        self, client: Client, where: str, out: Path, job: Job, check: Callable[[], None],
+        tell: Tell,
     ) -> None:
-        """Create it.
-
-        Args:
-            cluster: the cluster, within its ``with``.
-            command: command of a child, whose folder of bags is :data:`.task.OUT`.
-            out: folder of the campaign, which exists.
-            fingerprint: SHA-256 of the perception that every result must name, or ''.
-            on_machine: called with the provenance of each other machine before its first result.
-        """
-        from distributed import as_completed
-
         self.interrupted = False
-        self._cluster, self._out = cluster, out.absolute()
-        self._fingerprint, self._on_machine = fingerprint, on_machine
-        self._folder = self._out / CLUSTER_FOLDER if cluster.shares_folder else None
-        self._job = json.dumps(dataclasses.asdict(dataclasses.replace(
-            cluster.job, command=[word.replace(sys.executable, PYTHON) for word in command],
-            folder='' if self._folder is None else str(self._folder),
-            facts=json.dumps(read_facts(self._out)),
-        )))
-        self._runs: dict[Future[str], RunRequest] = {}
-        self._ended = as_completed(loop=cluster.client.loop)
-        self._machines: set[str] = set()
+        self.threads = 0
+        self._client, self._where, self._out, self._job = client, where, out, job
+        self._check, self._tell = check, tell
+        self._on_machine: Callable[[Provenance], None] = lambda record: None
+        self._checks: dict[str, Future[None]] = {}
+        self._unfit: dict[str, str] = {}
+        self._fit: frozenset[str] = frozenset()
+        self._looked_s = self._fit_s = 0.0
+        self._runs: dict[Future[Done | None], tuple[RunRequest, frozenset[str]]] = {}
+        self._ended: queue.SimpleQueue[Future[Done | None]] = queue.SimpleQueue()
         self._interrupted_s = math.inf
 
-    def __enter__(self) -> Self:
-        """Make the folder of bags; what a lost session left there is removed.
+    @contextlib.contextmanager
+    def making(
+        self, command: Sequence[str], facts: Mapping[str, Any],
+        on_machine: Callable[[Provenance], None] = lambda record: None,
+    ) -> Iterator[Self]:
+        """Context in which runs are made, in the campaign's folder, which exists.
+
+        Args:
+            command: command of a child, whose folder of bags is :data:`.OUT`.
+            facts: facts of the campaign.
+            on_machine: called with the provenance of another machine before each of its results.
 
         Raises:
-            UsageError: it cannot be made.
+            UsageError: the folder of bags cannot be made.
         """
-        if self._folder is not None:
-            _clear(self._folder)
+        self._on_machine = on_machine
+        command = [word.replace(sys.executable, PYTHON) for word in command]
+        self._job = dataclasses.replace(self._job, command=command, facts=dict(facts))
+        bags = self._job.bags
+        if bags is not None:
+            _clear(bags)  # of a lost session
             try:
-                self._folder.mkdir(parents=True, exist_ok=True)
+                bags.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise UsageError(f'{self._folder}: cannot be written: {error.strerror}') from error
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End what is still running, and remove the bags of results that were not taken."""
-        if self._runs:
-            self._cluster.stop()
-            with contextlib.suppress(Exception):  # the cluster may be gone
-                self._cluster.client.cancel(list(self._runs))
-        if self._folder is not None:
-            _clear(self._folder)
+                raise UsageError(f'{bags}: cannot be written: {error.strerror}') from error
+        try:
+            yield self
+        except InfraError:  # nobody is there who could stop
+            raise
+        except BaseException:
+            self._stop()
+            raise
+        finally:
+            if bags is not None:
+                _clear(bags)
 
     @property
     def busy(self) -> int:
@@ -132,13 +170,17 @@ class ClusterPool:
     @property
     def free(self) -> bool:
         """Whether one more run can be started."""
-        return not self.interrupted and self.busy < _QUEUED * self._cluster.threads
+        return not self.interrupted and self.busy < max(1, _QUEUED * self.threads)
 
     def give(self, request: RunRequest) -> None:
-        """Start a run."""
-        future = self._cluster.submit(run_task, self._job, json.dumps(request_to_json(request)))
-        self._runs[future] = request
-        self._ended.add(future)
+        """Start a run, on one of the workers that are fit now."""
+        from taxinet_ros.trials.cluster.task import run_task
+
+        future = self._client.submit(
+            run_task, self._job, request, pure=False, workers=list(self._fit)
+        )
+        self._runs[future] = request, self._fit
+        future.add_done_callback(self._ended.put)
 
     def answers(self, timeout_s: float) -> list[Answer]:
         """The runs finished since the last call; waits for one, at most ``timeout_s``.
@@ -147,14 +189,12 @@ class ClusterPool:
             InfraError: the cluster is gone.
         """
         if not self.interrupted:  # when ending, nobody is waited for
-            self._cluster.look()
-        deadline = time.monotonic() + timeout_s
-        while not (ended := self._ended.next_batch(block=False)) and time.monotonic() < deadline:
-            time.sleep(_POLL_S)
-        found = [
-            answer for future in ended if future in self._runs
-            for answer in self._taken(self._runs.pop(future), future)
-        ]
+            self._look(_LOOK_S)
+        found: list[Answer] = []
+        with contextlib.suppress(queue.Empty):
+            found += self._taken(self._ended.get(timeout=timeout_s))
+            while True:
+                found += self._taken(self._ended.get_nowait())
         if time.monotonic() - self._interrupted_s > _INTERRUPT_S:
             self._runs.clear()
         return found
@@ -163,75 +203,147 @@ class ClusterPool:
         """Request an orderly end of current runs; those not begun are made after a resume."""
         self.interrupted = True
         self._interrupted_s = time.monotonic()
-        self._cluster.stop()
+        self._stop()
 
-    def _taken(self, request: RunRequest, future: Future[str]) -> list[Answer]:
+    def _stop(self) -> None:
+        from taxinet_ros.trials.cluster.task import stop_runs
+
+        with contextlib.suppress(Exception):  # no answer is waited for
+            self._client.run(stop_runs, self._job.campaign, wait=False, on_error='ignore')
+
+    # Workers -----------------------------------------------------------------------------------
+
+    def wait_for_workers(self) -> None:
+        """Wait until the workers that are there are checked, and one of them is fit.
+
+        Raises:
+            UsageError: there is none.
+        """
+        begun_s = time.monotonic()
+        while time.monotonic() - begun_s < _WORKERS_S:
+            self._fit_s = time.monotonic()  # one that was never fit has not been lost
+            self._look()
+            if self._checks and all(check.done() for check in self._checks.values()):
+                break
+            time.sleep(_FIRST_LOOK_S)
+        if not self._fit:
+            raise UsageError(f'--cluster {self._where}: ' + (
+                f'no worker is fit: {self._reasons}' if self._unfit else
+                f'has no workers; start some with dask worker {self._where}'
+            ))
+
+    def _look(self, interval_s: float = 0.0) -> None:
+        """Take note of workers that came or went, unless that was done within an interval."""
+        now = time.monotonic()
+        if now - self._looked_s < interval_s:
+            return
+        self._looked_s = now
+        try:
+            workers = self._client.scheduler_info()['workers']
+        except Exception as error:  # of tornado, asyncio, or the operating system
+            raise self._gone(f'has been lost ({one_line(error)})') from error
+        self._note(workers)
+        self._fit = frozenset(
+            worker for worker, check in self._checks.items()
+            if check.status == 'finished' and worker not in self._unfit
+        )
+        self.threads = sum(int(workers[worker]['nthreads']) for worker in self._fit)
+        if self._fit:
+            self._fit_s = now
+        elif now - self._fit_s > _PATIENCE_S:
+            raise self._gone(f'has had no fit worker for {now - self._fit_s:.0f} s'
+                             + (f' ({self._reasons})' if self._unfit else ''))
+        self._give_again()
+
+    def _note(self, workers: Mapping[str, Any]) -> None:
+        """Check the workers that came, forget those that went, and name the unfit ones."""
+        for worker in self._checks.keys() - workers.keys():
+            del self._checks[worker]
+            self._unfit.pop(worker, None)
+        for worker in workers.keys() - self._checks.keys():
+            self._checks[worker] = self._client.submit(
+                self._check, workers=[worker], priority=1, pure=False
+            )
+        for worker, check in self._checks.items():
+            if check.status == 'error':
+                cause = check.exception()
+                self._set_aside(worker, str(cause) if isinstance(cause, UsageError) else
+                                f'cannot be checked: {one_line(cause)}')
+
+    def _give_again(self) -> None:
+        """Start runs anew that would wait for workers that are gone."""
+        for future, (request, possible) in list(self._runs.items()):
+            if self._fit and not self._fit & possible:
+                del self._runs[future]
+                future.cancel()
+                self.give(request)
+
+    def _set_aside(self, worker: str, reason: str) -> None:
+        if worker not in self._unfit:
+            self._unfit[worker] = reason
+            self._tell(f'{worker}: {reason}; it gets no runs')
+        self._fit -= {worker}
+
+    @property
+    def _reasons(self) -> str:
+        return '; '.join(f'{worker}: {reason}' for worker, reason in self._unfit.items())
+
+    def _gone(self, what: str) -> InfraError:
+        return InfraError(
+            InfraKind.DIED, f'cluster {self._where}', -1,
+            f'{what}; all finished runs are recorded, continue with --resume',
+        )
+
+    # Results -----------------------------------------------------------------------------------
+
+    def _taken(self, future: Future[Done | None]) -> list[Answer]:
         """The answer of a task that has ended; none if its run is to be made again, or never."""
         from distributed import KilledWorker
 
+        from taxinet_ros.trials.cluster.task import UnfitError
+
+        if future not in self._runs:
+            return []
+        request, possible = self._runs.pop(future)
         try:
-            told = json.loads(future.result())
+            done = future.result(timeout=_FETCH_S)
+        except TimeoutError:  # its worker was lost with it
+            self._runs[future] = request, possible
+            self._ended.put(future)
+            return []
         except KilledWorker as error:
             detail = f'{error.allowed_failures + 1} workers of the cluster were lost with it'
             return [(request, RunResult.infra_error(InfraKind.DIED, 'worker', detail, -1))]
-        except (Exception, asyncio.CancelledError) as error:
-            if self.interrupted:
-                return []
-            raise self._cluster.gone(f'has lost run {request.index} ({error})') from error
-        unfit, result = str(told['unfit']), None
-        if not unfit and told['result'] is not None:
-            result = result_from_json(told['result'])
-            if self._fingerprint and result.fingerprint not in ('', self._fingerprint):
-                unfit = f'has another perception now (sha256 {result.fingerprint[:12]}…)'
-        if unfit:
-            self._cluster.set_aside(told['worker'], unfit)
+        except UnfitError as error:
+            self._set_aside(*error.args)
             if not self.interrupted:
                 self.give(request)
             return []
-        if result is None:
-            return []
-        stack = self._stack(told['record'])
-        return [(request, self._with_bag(request, result, told['bag'], stack))]
+        except (Exception, asyncio.CancelledError) as error:
+            if self.interrupted:
+                return []
+            raise self._gone(f'has lost run {request.index} ({one_line(error)})') from error
+        return [] if done is None else [(request, self._in_place(request, *done))]
 
-    def _stack(self, record: Mapping[str, str]) -> str:
-        if not record:
-            return ''
-        stack = stack_id(record)
-        if stack not in self._machines:
-            self._machines.add(stack)
-            self._on_machine(record)
-        return stack
-
-    def _with_bag(
-        self, request: RunRequest, result: RunResult, bag: str, stack: str
+    def _in_place(
+        self, request: RunRequest, result: RunResult, bag: Path | None, record: Provenance
     ) -> RunResult:
-        """The result, once its bag is in the campaign's folder."""
-        result = dataclasses.replace(result, stack=stack)
-        if not bag or result.kind == AUDIT:  # its text names the bag of the graph, beside this one
+        """A result with the name of its machine, once its bag is in the campaign's folder."""
+        if record:
+            self._on_machine(record)
+            result = dataclasses.replace(result, stack=stack_id(record))
+        if bag is None:
             return result
         folder = self._out / request.run_id
         try:
-            _move(Path(bag), folder)
+            bag.rename(folder)
         except FileNotFoundError:
             detail = f'its bag is not at {bag}'
             broken = RunResult.infra_error(InfraKind.BAG, RECORDER, detail, result.last_seq)
-            return dataclasses.replace(broken, stack=stack)
+            return dataclasses.replace(broken, stack=result.stack)
         except OSError as error:
             raise disk_error(folder, error) from error
         return result
-
-
-def _move(bag: Path, folder: Path) -> None:
-    """Move a bag; on a network file system, what another machine wrote may appear late."""
-    deadline = time.monotonic() + _MOVE_S
-    while True:
-        try:
-            bag.rename(folder)
-            return
-        except FileNotFoundError:
-            if time.monotonic() > deadline:
-                raise
-        time.sleep(0.2)
 
 
 def _clear(folder: Path) -> None:

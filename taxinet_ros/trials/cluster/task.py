@@ -1,243 +1,221 @@
-"""What a worker of a Dask cluster does: a run of a campaign, in a child process.
+"""What a worker of a Dask cluster does: the runs of a campaign, in child processes.
 
-Each thread of a Dask worker drives one child like those of a local pool
-(:class:`.worker_pool.WorkerPool`), so a run has the same environment as on one machine, and its
-crash costs a run. The child stays for the next task of its campaign, and ends when it is idle.
-Bags go to a folder of the child's own; the campaign takes them from there with their result, so
-what a lost worker still writes never meets the bag that counts.
+Each thread of a worker drives one child like those of a local pool (:class:`.WorkerPool`), so a run
+has the same environment as on one machine, and its crash costs a run. Bags go to a folder of the
+child's own; the campaign takes them from there with their result, so what a lost worker still
+writes never meets the bag that counts.
 """
 
 from __future__ import annotations
 
-import atexit
+import asyncio
 import contextlib
 import dataclasses
-import json
 import platform
 import shutil
 import sys
-import tempfile
-import threading
+import time
 import uuid
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from distributed import Reschedule, Worker, WorkerPlugin, get_worker
+from distributed.utils import sync
+
+from taxinet_ros.core.provenance import NAMES
+from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record
-from taxinet_ros.trials.cluster.machine import Machine, Needs, describe, difference
+from taxinet_ros.trials.cluster.machine import OUT, PYTHON, describe, difference
 from taxinet_ros.trials.options import AUDIT
 from taxinet_ros.trials.record.facts import FACTS
-from taxinet_ros.trials.worker_pool import (
-    SILENCE_S,
-    WorkerPool,
-    request_from_json,
-    result_to_json,
-)
+from taxinet_ros.trials.worker_pool import WorkerPool
 
-PYTHON, OUT = '@PYTHON@', '@OUT@'
-"""Words in the command of a child for this machine's Python, and for the folder of its bags."""
-_IDLE_S = 60.0
 _LOOK_S = 0.2
+_RETURN_S = 0.5
+Done = tuple[RunResult, Path | None, Mapping[str, str]]
+"""A result, where its bag is, and the provenance of its machine unless it is the campaign's."""
+
+
+class UnfitError(Exception):
+    """A worker may make no more runs of a campaign; its address, and why."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What the tasks of a campaign have in common.
+    """What the runs of a campaign have in common.
 
     Attributes:
         campaign: unique name of this session of the campaign.
-        command: command of a child, with :data:`PYTHON` and :data:`OUT`.
-        facts: facts of the campaign, as JSON.
-        needs: text of :class:`.Needs`.
-        here: text of the :class:`.Machine` on which the campaign is led.
-        folder: where children make their folders, seen by all machines; '' for any local place.
-        probe: file in a folder that all machines must see, with its content; ('', '') for none.
+        folder: its working directory.
+        bags: where children make their folders, seen by all machines; None for any local place.
+        command: command of a child, with :data:`.PYTHON` and :data:`.OUT`.
+        facts: facts of the campaign.
     """
 
     campaign: str
+    folder: Path
+    bags: Path | None
     command: Sequence[str] = ()
-    facts: str = ''
-    needs: str
-    here: str
-    folder: str = ''
-    probe: Sequence[str] = ('', '')
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def working(self) -> Path | None:
+        """The working directory, if this machine has it."""
+        return self.folder if self.folder.is_dir() else None
 
 
-def check_worker(job: str) -> str:
-    """Check that this worker may make runs.
-
-    Args:
-        job: :class:`Job` as JSON.
-
-    Returns:
-        JSON: ``unfit``, the reason why not or ''; and ``record``, the provenance of this machine if
-        it is not that of the campaign's.
-    """
-    asked = Job(**json.loads(job))
-    try:
-        there = describe(asked.needs)
-    except UsageError as error:
-        return json.dumps({'unfit': str(error)})
-    here = Machine(**json.loads(asked.here))
-    unfit = difference(here, there, Needs(**json.loads(asked.needs))) or _unseen(asked.probe)
-    record = {} if there.record == here.record else dict(there.record)
-    return json.dumps({'unfit': unfit, 'record': record})
-
-
-def _unseen(probe: Sequence[str]) -> str:
-    name, text = probe
-    if not name:
-        return ''
-    with contextlib.suppress(OSError):
-        if Path(name).read_text(encoding='utf-8') == text:
-            return ''
-    return (
-        f'does not see {Path(name).parent}, where the bags go; use an --out that all machines share'
-    )
-
-
-def run_task(job: str, request: str) -> str:
-    """Make a run.
+def check_worker(
+    job: Job, parts: Sequence[str], here: Mapping[str, str] | None, ignored: Collection[str],
+    probe: Path | None,
+) -> None:
+    """Check that this worker may make runs, and let it; the task is pinned to it.
 
     Args:
-        job: :class:`Job` as JSON.
-        request: the request as JSON.
+        job: what the runs have in common.
+        parts: as for :func:`.describe`.
+        here: facts of the machine on which the campaign is led; None if this is it.
+        ignored: facts in which this machine may differ.
+        probe: a file that all machines must see, or None.
 
-    Returns:
-        JSON: as :func:`check_worker`; and ``worker``, this worker's address; ``result``, None if
-        the run was not made; and ``bag``, its folder, or ''.
+    Raises:
+        UsageError: it may make none.
     """
-    from distributed import get_worker
+    record: dict[str, str] = {}
+    if here is not None:
+        there = describe(parts, job.working)
+        if unfit := difference(here, there, ignored):
+            raise UsageError(unfit)
+        if probe is not None and not probe.exists():
+            raise UsageError(
+                f'does not see {probe.parent}, where the bags go; use an --out that all machines '
+                'share'
+            )
+        if any(there.get(name) != here.get(name) for name in NAMES):
+            record = {name: there[name] for name in NAMES if name in there}
+    worker = get_worker()
+    runs = Runs(job.campaign, str(worker.get_current_task()), record)
+    sync(worker.loop, worker.plugin_add, plugin=runs, name=job.campaign)
 
-    told = {**json.loads(check_worker(job)), 'worker': get_worker().address, 'result': None}
-    asked = Job(**json.loads(job))
-    if told['unfit'] or asked.campaign in _STOPPED:
-        return json.dumps(told)
-    bench = None
+
+def run_task(job: Job, request: RunRequest) -> Done | None:
+    """Make a run; None if the campaign was stopped before.
+
+    Raises:
+        UnfitError: this worker may make no more runs.
+    """
+    worker = get_worker()
+    runs: Any = worker.plugins.get(job.campaign)
+    if runs is None:  # restarted at the same address, or about to leave
+        time.sleep(_RETURN_S)
+        raise Reschedule
     try:
-        bench = _take_bench(asked)
-        told |= bench.run(json.loads(request))
+        done: Done | None = runs.run(job, request)
     except UsageError as error:
-        told['unfit'] = str(error)
-    finally:
-        if bench is not None:
-            _put_back(bench)
-    return json.dumps(told)
+        raise UnfitError(worker.address, str(error)) from error
+    return done
 
 
-def stop_runs(campaign: str) -> None:
+def stop_runs(campaign: str, dask_worker: Worker) -> None:
     """End the runs of a campaign on this worker in order; those that wait are not begun."""
-    _STOPPED.add(campaign)
+    runs: Any = dask_worker.plugins.get(campaign)
+    if runs is not None:
+        runs.stopped = True
 
 
-class _Bench:
-    """A child process, and the folder of its bags.
+class Runs(WorkerPlugin):
+    """The child processes of a campaign on a worker that may make its runs.
+
+    The campaign keeps the result of :func:`check_worker`. When Dask releases it, because the
+    campaign has ended or its process is gone, children end.
 
     Attributes:
-        job: its campaign.
-        runs: number of runs that it was given.
+        stopped: whether the campaign was interrupted.
     """
 
-    def __init__(self, job: Job) -> None:
-        self.job, self.runs, self._kept = job, 0, False
-        place = Path(job.folder) if job.folder else Path(_local_folder())
+    def __init__(self, campaign: str, check: str, record: Mapping[str, str]) -> None:
+        self.stopped = self._closed = False
+        self._campaign, self._check, self._record = campaign, check, record
+        self._idle: list[_Child] = []
+
+    def setup(self, worker: Worker) -> None:
+        """Take note of the worker; Dask calls this when it gets the plugin."""
+        self._worker = worker
+
+    def transition(self, key: Any, start: str, finish: str, **more: Any) -> None:
+        """End when the check is released; Dask calls this with each change of a task."""
+        if key == self._check and finish == 'released':
+            self._worker.loop.add_callback(self._worker.plugin_remove, self._campaign)
+
+    async def teardown(self, worker: Worker) -> None:
+        """End the children; Dask calls this when the worker ends, too."""
+        self._closed = True
+        await asyncio.to_thread(self._end_idle)
+
+    def run(self, job: Job, request: RunRequest) -> Done | None:
+        """Make one run; see :func:`run_task`."""
+        if self.stopped:
+            return None
         try:
-            self._folder = place / f'{job.campaign}-{uuid.uuid4().hex[:8]}'
+            child = self._idle.pop()
+        except IndexError:
+            child = _Child(job, Path(self._worker.local_directory))
+        try:
+            result, bag = child.run(request, self)
+        except BaseException:
+            child.end()
+            raise
+        self._idle.append(child)
+        if self._closed or self.stopped:
+            self._end_idle()
+        expected = job.facts.get('perception_sha256')
+        if result.fingerprint and expected and result.fingerprint != expected:
+            raise UsageError(f'has another perception now (sha256 {result.fingerprint[:12]}…)')
+        return result, bag, self._record
+
+    def _end_idle(self) -> None:
+        with contextlib.suppress(IndexError):
+            while True:
+                self._idle.pop().end()
+
+
+class _Child:
+    """A child process, and the folder of its bags."""
+
+    def __init__(self, job: Job, local: Path) -> None:
+        self._shared = job.bags is not None
+        self._folder = (job.bags or local) / f'{job.campaign}-{uuid.uuid4().hex[:8]}'
+        try:
             self._folder.mkdir(parents=True)
             with Record(self._folder / RECORD_NAME) as record:  # whence bags get the program's text
-                record.put(FACTS, '', json.loads(job.facts))
+                record.put(FACTS, '', job.facts)
         except OSError as error:
             raise UsageError(f'{self._folder}: cannot be written: {error.strerror}') from error
         command = [
             word.replace(PYTHON, sys.executable).replace(OUT, str(self._folder))
             for word in job.command
         ]
-        working = str(json.loads(job.needs)['folder'])
-        self._pool = WorkerPool(
-            command, 1, self._folder / 'logs', SILENCE_S,
-            folder=Path(working) if Path(working).is_dir() else None,
-        ).__enter__()
+        self._pool = WorkerPool(command, 1, self._folder / 'logs', folder=job.working)
+        self._pool.__enter__()
 
-    def run(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Make one run; see :func:`run_task`."""
-        self.runs += 1
-        request = request_from_json(values)
+    def run(self, request: RunRequest, runs: Runs) -> tuple[RunResult, Path | None]:
+        """Make one run; its result, and its bag if others see that."""
         bag = self._folder / request.run_id
         shutil.rmtree(bag, ignore_errors=True)
         self._pool.give(request)
         while not (answers := self._pool.answers(_LOOK_S)):
-            if self.job.campaign in _STOPPED and not self._pool.interrupted:
+            if runs.stopped and not self._pool.interrupted:
                 self._pool.interrupt()
         (_, result), = answers
         if result.kind == AUDIT:  # both bags stay for whoever looks into it
-            self._kept = True
-            where = f'{result.detail} (on {platform.node()})'
-            result = dataclasses.replace(result, detail=where)
-        shared = self.job.folder and bag.is_dir()
-        return {'result': result_to_json(result), 'bag': str(bag) if shared else ''}
+            detail = f'{result.detail} (on {platform.node()})'
+            return dataclasses.replace(result, detail=detail), None
+        return result, bag if self._shared and bag.is_dir() else None
 
     def end(self) -> None:
         """End the child; remove its folder unless others see it."""
         self._pool.__exit__(None, None, None)
-        if not (self.job.folder or self._kept):
+        if not self._shared:
             shutil.rmtree(self._folder, ignore_errors=True)
-
-
-_STOPPED: set[str] = set()
-_IDLE: dict[str, list[_Bench]] = defaultdict(list)
-_LOCK = threading.Lock()
-
-
-def _take_bench(job: Job) -> _Bench:
-    with _LOCK:
-        if _IDLE[job.campaign]:
-            return _IDLE[job.campaign].pop()
-    return _Bench(job)
-
-
-def _put_back(bench: _Bench) -> None:
-    campaign = bench.job.campaign
-    if campaign in _STOPPED:
-        bench.end()
-        return
-    with _LOCK:
-        _IDLE[campaign].append(bench)
-    # The leader of the campaign may have been lost, and nobody else would end it.
-    timer = threading.Timer(_IDLE_S, _end_if_idle, (bench, bench.runs))
-    timer.daemon = True
-    timer.start()
-
-
-def _end_if_idle(bench: _Bench, runs: int) -> None:
-    with _LOCK:
-        idle = _IDLE[bench.job.campaign]
-        if bench not in idle or bench.runs != runs:
-            return
-        idle.remove(bench)
-    bench.end()
-
-
-def end_children(campaign: str = '') -> None:
-    """End the idle children of a campaign, or of all."""
-    with _LOCK:
-        benches = [
-            bench for name in ([campaign] if campaign else list(_IDLE))
-            for bench in _IDLE.pop(name, ())
-        ]
-    for bench in benches:
-        bench.end()
-
-
-atexit.register(end_children)
-
-
-def _local_folder() -> str:
-    """Folder of this Dask worker, which Dask removes after it; else one for temporary files."""
-    from distributed import get_worker
-
-    with contextlib.suppress(ValueError):
-        return str(get_worker().local_directory)
-    return tempfile.gettempdir()

@@ -22,10 +22,10 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.trials import search as search_module
-from taxinet_ros.trials.cluster import connection
+from taxinet_ros.trials.cluster import connection, pool
 from taxinet_ros.trials.cluster.connection import check_cluster
-from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.trials.cluster.task import OUT
+from taxinet_ros.trials.cluster.machine import OUT
+from taxinet_ros.trials.cluster.pool import campaign_cluster
 from taxinet_ros.trials.engine import Engine, RunSource, run_search
 from taxinet_ros.trials.record.facts import STACKS, read_facts
 from taxinet_ros.trials.record.table import read_table
@@ -113,13 +113,13 @@ def there(
     with (
         campaign_cluster(chosen.campaign, where, tell=told.append) as cluster,
         Engine(chosen, ('perception',), lambda row: kept.append(row.index)) as search,
-        ClusterPool(
-            cluster, [sys.executable, str(TOY), OUT, str(out.parent)], out,
-            on_machine=search.book.add_machine,
-        ) as pool,
+        cluster.making(
+            [sys.executable, str(TOY), OUT, str(out.parent)], search.book.facts,
+            search.book.add_machine,
+        ),
     ):
         source: RunSource = Watched(search, acts)
-        run_search(source, pool)
+        run_search(source, cluster)
     assert acts == {}
     assert len(kept) == len(set(kept)), 'each run has one result'
     return search
@@ -135,8 +135,8 @@ def check_whole(out: Path, other: Path) -> None:
 
 @pytest.mark.parametrize('changes', [
     {'sampler': 'ce'},
-    pytest.param({'sampler': 'ce', 'lag': 3}, marks=pytest.mark.nightly),
-    pytest.param({'sampler': 'halton'}, marks=pytest.mark.nightly),
+    {'sampler': 'ce', 'lag': 3},
+    {'sampler': 'halton'},
 ], ids=['adaptive', 'another lag', 'by index'])
 def test_given_a_cluster_then_it_makes_the_rows_of_the_local_pool(
     processes, here, tmp_path, changes
@@ -148,7 +148,6 @@ def test_given_a_cluster_then_it_makes_the_rows_of_the_local_pool(
     assert list(read_facts(tmp_path / 'there')[STACKS].values()) == [dict(provenance())]
 
 
-@pytest.mark.nightly
 def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
     processes, here, tmp_path
 ):
@@ -168,7 +167,6 @@ def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
     check_whole(out, here())
 
 
-@pytest.mark.nightly
 def test_given_two_campaigns_at_once_then_each_has_its_own_rows(processes, here, tmp_path):
     outs = [tmp_path / 'one', tmp_path / 'two']
     (tmp_path / 'pace').write_text('0.01')
@@ -211,8 +209,10 @@ def test_given_a_worker_and_a_child_killed_during_the_campaign_then_nothing_is_l
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
-@pytest.mark.nightly
-def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_keeps_what_it_had(here, tmp_path):
+def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_another_cluster_goes_on(
+    here, tmp_path
+):
+    """The other one, too, has one worker, and loses it to another."""
     (tmp_path / 'dask').mkdir()
     (tmp_path / 'pace').write_text('0.03')
     out = tmp_path / 'there'
@@ -225,13 +225,17 @@ def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_keeps_what_it_ha
             )
     assert 8 <= len(read_table(out)) < RUNS
     with DaskProcesses(tmp_path / 'dask') as processes:
-        processes.add_worker()
-        there(processes.address, out, [], sampler='halton', resume=True)
+        only = processes.add_worker()
+
+        def replace(search: Search) -> None:  # with runs that wait for it
+            kill(only)
+            processes.add_worker()
+
+        there(processes.address, out, [], {20: replace}, sampler='halton', resume=True)
     (tmp_path / 'pace').unlink()
     check_whole(out, here(sampler='halton'))
 
 
-@pytest.mark.nightly
 def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_none(
     processes, here, tmp_path
 ):
@@ -253,18 +257,17 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
         for process in strange:
             kill(process)
     assert len(told) == 2, told
-    assert sum('taxinet_ros of other files' in line for line in told) == 1, told
+    assert sum('files of taxinet_ros' in line for line in told) == 1, told
     assert sum('numpy_features X86_V2' in line for line in told) == 1, told
     assert all(line.endswith('; it gets no runs') for line in told)
     (tmp_path / 'pace').unlink()
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
-@pytest.mark.nightly
 def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     processes, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(connection, '_PATIENCE_S', 0.5)
+    monkeypatch.setattr(pool, '_PATIENCE_S', 0.5)
     told: list[str] = []
     out = tmp_path / 'there'
     (tmp_path / 'weights').write_text('0' * 64)
@@ -273,18 +276,17 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
         pytest.raises(InfraError, match='has another perception now'),
         campaign_cluster(chosen.campaign, processes.address, tell=told.append) as cluster,
         Engine(chosen, ('perception',)) as search,
-        ClusterPool(
-            cluster, [sys.executable, str(TOY), OUT, str(tmp_path)], out,
-            fingerprint='1' * 64,
-        ) as pool,
+        cluster.making(
+            [sys.executable, str(TOY), OUT, str(tmp_path)],
+            {**search.book.facts, 'perception_sha256': '1' * 64},
+        ),
     ):
-        run_search(search, pool)
+        run_search(search, cluster)
     assert len(told) == 2
     assert all('has another perception now (sha256 000000000000' in line for line in told)
     assert not [row for row in search.rows if row.outcome.judged]
 
 
-@pytest.mark.nightly
 def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_takes_part(
     here, tmp_path, monkeypatch
 ):

@@ -4,92 +4,85 @@ from __future__ import annotations
 
 import dataclasses
 import http.server
-import json
-import os
 import socket
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import distributed
 import distributed.utils
+import falsify_samples as toy
 import psutil
 import pytest
 from dask_processes import free_port
+from waiting import wait_for
 
 import taxinet_ros
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.verdict.judging import Judging
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.cluster import connection
-from taxinet_ros.trials.cluster.connection import Cluster, check_cluster
+from taxinet_ros.trials.cluster import connection as connection_module
+from taxinet_ros.trials.cluster.connection import check_cluster, connection
 from taxinet_ros.trials.cluster.machine import (
-    Machine,
-    Needs,
+    OUT,
+    PYTHON,
     code_digest,
     describe,
     difference,
-    to_json,
+    ignored_facts,
 )
-from taxinet_ros.trials.cluster.task import Job, check_worker
+from taxinet_ros.trials.cluster.pool import campaign_cluster
+from taxinet_ros.trials.cluster.task import Job, check_worker, run_task
+from taxinet_ros.trials.options import GRAPH, CampaignOptions
 
-NEEDS = Needs(
-    perception='taxinet', controller='steering', gains={}, world='kmwh', graph=True,
-    folder=os.getcwd(),
-)
-HERE = Machine(
-    record={**provenance(), 'processor_features': 'avx2 fma avx512f'}, code='c' * 64, lacking='',
-    parts={'perception': 'a' * 64, 'controller': '', 'world': ''},
-)
+HERE = {
+    **provenance(), 'instructions': 'x86-64-v3', 'processor_features': 'avx2 fma avx512f',
+    'files of taxinet_ros': 'c' * 64, 'perception taxinet': 'a' * 64, 'world kmwh': '',
+}
 
 
-def with_record(**changes: str) -> Machine:
-    record = {name: value for name, value in {**HERE.record, **changes}.items() if value}
-    return dataclasses.replace(HERE, record=record)
+def campaign(**changes: object) -> CampaignOptions:
+    made = toy.options(Path('out')).campaign
+    return dataclasses.replace(made, **{'perception': 'taxinet', **changes})
 
 
-@pytest.mark.parametrize(('there', 'named'), [
-    (dataclasses.replace(HERE, lacking='AVX2'),
-     'processor class: its processor lacks AVX2, the one here has all of x86-64-v3'),
-    (with_record(python='3.12.1'), f'python 3.12.1, here {HERE.record["python"]}'),
-    (with_record(libc='glibc 2.31'), f'libc glibc 2.31, here {HERE.record["libc"]}'),
-    (with_record(numpy=''), f'numpy missing, here {HERE.record["numpy"]}'),
-    (with_record(taxinet_ros='9.9'), f'taxinet_ros 9.9, here {HERE.record["taxinet_ros"]}'),
-    (with_record(plugins='theirs 1.0'), 'plugins theirs 1.0, here missing'),
-    (with_record(environment='GLIBC_TUNABLES=x'),
-     'environment GLIBC_TUNABLES=x, here missing'),
-    (dataclasses.replace(HERE, code='d' * 64),
-     'taxinet_ros of other files (dddddddddddd…, here cccccccccccc…)'),
-    (dataclasses.replace(HERE, parts={**HERE.parts, 'perception': 'b' * 64}),
-     'perception taxinet is bbbbbbbbbbbb…, here aaaaaaaaaaaa…'),
-    (dataclasses.replace(HERE, parts={**HERE.parts, 'world': 'b' * 64}),
-     'world kmwh is bbbbbbbbbbbb…, here none…'),
+@pytest.mark.parametrize(('changes', 'named'), [
+    ({'instructions': 'without AVX2'}, 'instructions without AVX2, here x86-64-v3'),
+    ({'python': '3.12.1'}, f'python 3.12.1, here {HERE["python"]}'),
+    ({'libc': 'glibc 2.31'}, f'libc glibc 2.31, here {HERE["libc"]}'),
+    ({'numpy': ''}, f'numpy missing, here {HERE["numpy"]}'),
+    ({'taxinet_ros': '9.9'}, f'taxinet_ros 9.9, here {HERE["taxinet_ros"]}'),
+    ({'plugins': 'theirs 1.0'}, 'plugins theirs 1.0, here missing'),
+    ({'environment': 'GLIBC_TUNABLES=x'}, 'environment GLIBC_TUNABLES=x, here missing'),
+    ({'files of taxinet_ros': 'd' * 64},
+     'files of taxinet_ros dddddddddddd…, here cccccccccccc…'),
+    ({'perception taxinet': 'b' * 64}, 'perception taxinet bbbbbbbbbbbb…, here aaaaaaaaaaaa…'),
+    ({'world kmwh': 'b' * 64}, 'world kmwh bbbbbbbbbbbb…, here missing'),
+    ({'processor': 'another', 'processor_features': 'avx2 fma', 'pixels': 'avx2'}, ''),
+    ({'commit': '0' * 40}, ''),
 ])
-def test_given_another_machine_then_the_first_difference_is_named(there, named):
-    assert difference(HERE, there, NEEDS) == named
+def test_given_another_machine_then_the_first_difference_that_counts_is_named(changes, named):
+    assert difference(HERE, {**HERE, **changes}, ignored_facts(campaign())) == named
 
 
-@pytest.mark.parametrize('there', [
-    HERE, with_record(processor='another', processor_features='avx2 fma', pixels='avx2'),
-    with_record(commit='0' * 40),
+@pytest.mark.parametrize(('word', 'ignored'), [
+    ('taxinet', True), ('some.safetensors', True), ('truth', True),
+    ('their.onnx', False), ('my_file.py:look', False),
 ])
-def test_given_what_changes_no_bit_then_the_machine_is_fit(there):
-    assert difference(HERE, there, NEEDS) == ''
+def test_given_a_network_whose_bits_depend_on_the_processor_then_its_features_count(word, ignored):
+    assert ('processor_features' in ignored_facts(campaign(perception=word))) is ignored
 
 
-def test_given_a_network_whose_bits_depend_on_the_processor_then_its_features_must_be_the_same():
-    there = with_record(processor_features='avx2 fma')
-    for word, named in (
-        ('taxinet', ''), ('some.safetensors', ''), ('truth', ''),
-        ('their.onnx', 'processor_features avx2 fma, here avx2 fma avx512f'),
-        ('my_file.py:look', 'processor_features avx2 fma, here avx2 fma avx512f'),
-    ):
-        assert difference(HERE, there, dataclasses.replace(NEEDS, perception=word)) == named
-
-
-def test_given_runs_without_ros_then_a_machine_need_not_have_it():
-    there = with_record(rclpy='')
-    assert difference(HERE, there, dataclasses.replace(NEEDS, graph=False)) == ''
-    assert difference(HERE, there, NEEDS).startswith('rclpy missing, here ')
+@pytest.mark.parametrize(('changes', 'ignored'), [
+    ({'engine': GRAPH}, False), ({'audit_percent': 1.0, 'engine': 'loop'}, False),
+    ({'audit_percent': 0.0, 'engine': 'loop'}, True),
+    ({'audit_percent': 1.0, 'engine': 'loop', 'bags': False}, True),
+])
+def test_given_runs_without_ros_then_a_machine_need_not_have_it(changes, ignored):
+    assert ({'rclpy', 'ros-fastrtps'} <= ignored_facts(campaign(**changes))) is ignored
 
 
 def test_given_a_changed_new_or_renamed_file_then_the_code_is_another(tmp_path):
@@ -104,34 +97,64 @@ def test_given_a_changed_new_or_renamed_file_then_the_code_is_another(tmp_path):
     assert code_digest(Path(taxinet_ros.__file__).parent) not in digests
 
 
-def test_given_this_machine_then_it_describes_itself_and_misses_a_folder_or_a_network(tmp_path):
+def test_given_this_machine_then_it_describes_itself_and_lacks_an_unknown_network():
     """In a process that starts as runs do; this is what every worker does first."""
-    needs = to_json(dataclasses.replace(NEEDS, perception='truth'))
-    described = describe(needs)
-    assert described.record == provenance()
-    assert described.parts == {'perception': '', 'controller': '', 'world': ''}
-    job = Job(campaign='c', needs=needs, here=to_json(described))
-    assert json.loads(check_worker(json.dumps(dataclasses.asdict(job)))) == {
-        'unfit': '', 'record': {},
-    }
-    probe = tmp_path / 'probe'
-    for text, seen in (('other', False), ('right', True)):
-        probe.write_text(text)
-        asked = dataclasses.replace(job, probe=(str(probe), 'right'))
-        told = json.loads(check_worker(json.dumps(dataclasses.asdict(asked))))
-        assert told['unfit'] == ('' if seen else (
-            f'does not see {tmp_path}, where the bags go; use an --out that all machines share'
-        ))
-    with pytest.raises(UsageError, match=r'gone\.safetensors'):
-        describe(to_json(dataclasses.replace(NEEDS, perception='gone.safetensors')))
+    parts = ['truth', 'steering', '{}', 'kmwh']
+    described = describe(parts, None)
+    assert described.items() >= provenance().items()
+    assert (described['perception truth'], described['instructions']) == ('', 'x86-64-v3')
+    assert len(described['files of taxinet_ros']) == 64
+    with pytest.raises(UsageError, match=r'gone\.safetensors: no such file'):
+        describe(['gone.safetensors', *parts[1:]], None)
+
+
+def test_given_a_worker_then_it_is_checked_and_its_child_lives_as_long_as_the_check(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr('taxinet_ros.trials.cluster.task.describe', lambda parts, folder: HERE)
+    job = Job(
+        campaign='c', folder=tmp_path, bags=None,
+        command=[PYTHON, str(Path(__file__).with_name('toy_worker.py')), OUT, str(tmp_path)],
+    )
+    request = RunRequest(
+        run_id='r', index=0, program='', seed=0, scenario=Scenario(cross_track_m=3.0),
+        judging=Judging(specs=('always(abs(cte) <= 1)',)), participants=(),
+    )
+
+    def children() -> list[psutil.Process]:
+        return [one for one in psutil.Process().children() if 'toy_worker' in str(one.cmdline())]
+
+    with connection('local:1', print) as client:
+        def checked(here: dict[str, str], probe: Path) -> distributed.Future:
+            future = client.submit(check_worker, job, [], here, ['commit'], probe, pure=False)
+            wait_for(future.done)
+            return future
+
+        unfit = checked({**HERE, 'python': '2'}, tmp_path).exception()
+        assert str(unfit) == f'python {HERE["python"]}, here 2'
+        blind = checked(HERE, tmp_path / 'gone' / 'probe').exception()
+        assert str(blind).startswith(f'does not see {tmp_path}/gone, where the bags go')
+        lease = checked({**HERE, 'commit': 'another'}, tmp_path)
+        assert lease.status == 'finished'
+        result, bag, record = client.submit(run_task, job, request, pure=False).result()
+        assert (result.outcome, bag, record) == (
+            Outcome.PASS, None, {name: HERE[name] for name in provenance()}
+        )
+        assert len(children()) == 1
+        del lease
+        wait_for(lambda: not children())
 
 
 def test_given_local_workers_then_nobody_elsewhere_can_reach_them_and_nothing_is_left(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
-    needs = dataclasses.replace(NEEDS, perception='truth')
-    with Cluster('local:2', needs, out=tmp_path / 'out') as cluster:
+    parse = distributed.utils._parse_timedelta
+    monkeypatch.setattr(  # of the second from which on Dask warns of slow folders
+        distributed.utils, '_parse_timedelta',
+        lambda text, *more: -1.0 if text == '1s' else parse(text, *more),
+    )
+    with campaign_cluster(campaign(out=tmp_path / 'out'), 'local:2') as cluster:
         assert cluster.threads == 2
         listening = {
             one.laddr.ip for one in psutil.Process().net_connections()
@@ -139,19 +162,6 @@ def test_given_local_workers_then_nobody_elsewhere_can_reach_them_and_nothing_is
         }
         assert listening <= {'127.0.0.1', '::1'}
     assert list(tmp_path.iterdir()) == []
-
-
-def test_given_a_machine_that_is_slow_to_make_folders_then_dask_s_warning_reaches_nobody(
-    tmp_path, monkeypatch
-):
-    parse = distributed.utils._parse_timedelta
-    monkeypatch.setattr(  # of the second from which on Dask warns
-        distributed.utils, '_parse_timedelta',
-        lambda text, *more: -1.0 if text == '1s' else parse(text, *more),
-    )
-    needs = dataclasses.replace(NEEDS, perception='truth')
-    with Cluster('local:1', needs, out=tmp_path / 'out') as cluster:
-        assert cluster.threads == 1
 
 
 @pytest.mark.parametrize(('where', 'named'), [
@@ -188,11 +198,13 @@ def strangers() -> Iterator[list[int]]:
 def test_given_an_address_without_a_scheduler_then_that_is_said_and_nothing_is_begun(
     strangers, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(connection, '_CONNECT_S', 0.5)
+    monkeypatch.setattr(connection_module, '_CONNECT_S', 0.5)
     for port in strangers:
         where = f'tcp://127.0.0.1:{port}'
-        cluster = Cluster(where, NEEDS, out=tmp_path / 'out')
         named = rf'--cluster {where}: no Dask scheduler answers there'
-        with pytest.raises(UsageError, match=named), cluster:
+        with (
+            pytest.raises(UsageError, match=named),
+            campaign_cluster(campaign(out=tmp_path / 'out'), where),
+        ):
             pass
     assert list(tmp_path.iterdir()) == []
