@@ -47,7 +47,7 @@ from taxinet_ros.trials.experiment import (
     arm_searches,
     check_paired,
 )
-from taxinet_ros.trials.options import AUDIT, GRAPH
+from taxinet_ros.trials.options import AUDIT, GRAPH, CampaignOptions
 from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.search import Search
