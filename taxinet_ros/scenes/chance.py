@@ -73,7 +73,9 @@ def compile_twice(
     scenes = json.loads(json.dumps(first_scenes(compiled)))
     for other in others:
         if other is None:
-            raise ProgramError('compiled a second time, it ends otherwise')
+            raise ProgramError(
+                'compiled a second time, on another day, it ends otherwise or not in time'
+            )
         if other['scenes'] != scenes:
             what, place = _difference(scenes, other['scenes'], compiled, place_of)
         elif drawn_from != other['drawn_from']:

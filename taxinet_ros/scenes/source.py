@@ -316,31 +316,34 @@ class SceneSource:
     def _draws_valid_scenes(self) -> bool:
         """Whether any of the first scenes is a valid scenario; else the program is in error."""
         if self._valid is None:
-            self._valid = False
             drawn = self.search_space().drawn
-            for index in range(_PROBED_SCENES if drawn else 0):
-                with contextlib.suppress(Rejected, UsageError):
-                    values = self._drawn(index, None, 0)
-                    apply_overrides(without_idle(values, self._values, drawn), self._values, '')
-                    self._valid = True
-                    break
+            self._valid = bool(drawn) and any(error is None for error in self._first_errors())
         return self._valid
 
     def _probe(self) -> None:
         # Otherwise scenes would be rejected for an override that the user can correct.
         moved = any(field.key in self._values for field in CAMERA_OFFSETS)
         cameras = moved and CAMERA.key not in self._values  # the program's, drawn by chance
-        if sum(key in self._values for key in WEATHER) != 1 and not cameras:
-            return
+        if sum(key in self._values for key in WEATHER) == 1 or cameras:
+            for error in self._first_errors():
+                if isinstance(error, Contradiction):
+                    raise error
+
+    def _first_errors(self) -> Iterator[UsageError | None]:
+        """What is wrong with the first scenes, None for valid ones; rejected ones are left out."""
         for index in range(_PROBED_SCENES):
             try:
-                apply_overrides(
-                    self._drawn(index, None, 0), self._values, f'{self.program.name}: scene {index}'
-                )
-            except Contradiction:
-                raise
-            except (Rejected, UsageError):
-                continue  # an unrelated problem
+                values = self._drawn(index, None, 0)
+                kept = without_idle(values, self._values, self.search_space().drawn)
+                apply_overrides(kept, self._values, f'{self.program.name}: scene {index}')
+            except Rejected:
+                continue
+            except UsageError as error:
+                if self._child is None:
+                    raise
+                yield error
+            else:
+                yield None
 
     def _stop(self) -> None:
         for fd in self._fds:
@@ -377,7 +380,12 @@ class SceneSource:
                 raise self._lost()
             self._unread += part
         line, _, self._unread = self._unread.partition(b'\n')
-        answer: dict[str, Any] = json.loads(line)
+        try:
+            answer: dict[str, Any] = json.loads(line)
+        except ValueError:
+            self._stop()
+            text = f'{shown_path(self.program)}: the program has written into a pipe of Scenic'
+            raise UsageError(text) from None
         if 'error' in answer:
             error = answer['error']
             place = shown_place(error['file'] or str(self.program), error['line'])

@@ -98,6 +98,7 @@ def sampler_request(
             places.get(REJECTION_FEEDBACK),
         )
     kind, given = params.get(TYPE), params.get(PARAMS) or {}
+    kind = None if kind is None else str(kind)
     if not isinstance(given, Mapping):
         raise ProgramError(f'{PARAMS} is a {type(given).__name__}; it has to be a DotMap or a dict',
                            places.get(PARAMS))
@@ -105,7 +106,7 @@ def sampler_request(
     if kind in BUCKETED:
         _cut_ranges(plain, places.get(PARAMS))
     return {
-        'kind': kind and str(kind), 'params': plain,
+        'kind': kind, 'params': plain,
         'feedback': None if feedback is None else float(feedback),
         'places': {name: places[name] for name in (TYPE, PARAMS) if name in places},
     }
@@ -265,7 +266,8 @@ def _check_numbers(choice: Any) -> None:
         if least is not None and least < 0:
             said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
             raise ValueError(f'{_PARTS["stddev"]} of a {kind} is {said}; it has to be 0 or more')
-    if isinstance(choice, distributions.TruncatedNormal) and not choice._dependencies:
+    whole = {'low', 'high'} <= vars(choice).keys()  # and not only the normal of it
+    if isinstance(choice, distributions.TruncatedNormal) and whole and not choice._dependencies:
         check_reach(choice.mean, choice.stddev, choice.low, choice.high)
     if isinstance(choice, distributions.DiscreteRange):
         least, most = choice.supportInterval()
