@@ -183,19 +183,3 @@ def test_given_no_word_then_the_commands_are_listed(taxinet):
     assert code == 0
     for command in ('frame', 'sheet', 'compare'):
         assert f'  {command} ' in out
-
-
-def test_s_shadow_given_hours_then_a_line_each_tells_how_dark_it_is(taxinet):
-    code, out, err = taxinet('shadow', '--hours', '10,15', '--set', 'distance=900')
-    assert (code, err) == (0, '')
-    _, _, morning, afternoon = out.splitlines()
-    assert (morning.split()[0], morning.split()[3]) == ('10:00', '0.4%')
-    assert afternoon.split()[0] == '15:00'
-    assert [float(word) for word in afternoon.split()[4:7]] == pytest.approx([0.24] * 3, abs=0.01)
-    for words, complaint in (
-        (('--hours', ''), "--hours '': expected comma-separated numbers"),
-        (('--set', 'time_of_day=3'), '--set time_of_day_h: varies over the table; use --hours'),
-    ):
-        code, out, err = taxinet('shadow', *words)
-        assert (code, out) == (2, '')
-        assert complaint in err
