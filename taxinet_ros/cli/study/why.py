@@ -78,9 +78,9 @@ def why(
     Exit codes: 0 a verdict, 3 unclear, 130 interrupted.
     """
     console = line_console(stderr=as_json)
-    with_engine((), engine, audit)  # checks them before anything is made
+    asked = Budget(runs=budget)  # checked before anything is made
+    with_engine((), engine, audit)
     where = check_cluster(cluster) if cluster else ''
-    limit = Budget(runs=budget)
     subject, path = path, path.absolute()
     kind = kind_of(path)
     out = (out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
@@ -106,7 +106,7 @@ def why(
             return sitting.refused
 
         work = Investigation(
-            path=path, out=out, perception=perception, budget=limit,
+            path=path, out=out, perception=perception, budget=asked,
             workers=workers, run_stages=run_stages,
         )
         try:
