@@ -8,7 +8,7 @@ import datetime
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -272,7 +272,7 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search
 
 
 def _report(
-    experiment: Experiment, rows: dict[str, tuple[RunRow, ...]], out: Path, console: Console, *,
+    experiment: Experiment, rows: dict[str, Sequence[RunRow]], out: Path, console: Console, *,
     as_json: bool,
 ) -> None:
     from taxinet_ros.analysis.experiment.arms import paired_arms, pairs_frame

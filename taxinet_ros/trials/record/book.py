@@ -12,11 +12,11 @@ import contextlib
 import dataclasses
 import json
 import re
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections import ChainMap, Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.documents import NamedDocument
@@ -32,9 +32,9 @@ from taxinet_ros.files.record import RECORD_NAME, Record, plain, repair_record, 
 from taxinet_ros.scenes.programs import check_same_files
 from taxinet_ros.trials.options import AUDIT, CampaignOptions, check_new, make_out
 from taxinet_ros.trials.record.content import (
+    AS_TEXT,
     DOCUMENT,
     END,
-    MAKERS,
     CampaignContent,
     campaign_content,
     run_key,
@@ -170,7 +170,7 @@ class CampaignBook:
         """
         self.facts: dict[str, Any] = {}
         self.earlier = CampaignContent()
-        self.rows: dict[int, RunRow] = {}
+        self.rows: MutableMapping[int, RunRow] = {}
         self.warning = ''
         self.broken_in_a_row = 0
         self.difference = ''
@@ -209,7 +209,7 @@ class CampaignBook:
         path = self._out / RECORD_NAME
         if why := repair_record(path):
             warn_once(f'{why}; add requirements of taxinet monitor --add that are lost again')
-        self._record = Record(path, makers=MAKERS)
+        self._record = Record(path, as_text=AS_TEXT)
         try:
             self.earlier = campaign_content(path, self._record.entries)
         except BaseException:
@@ -271,7 +271,8 @@ class CampaignBook:
         """
         before = self.earlier
         self.facts = {**facts, STACKS: {**recorded_stacks(before.facts), **facts[STACKS]}}
-        self.rows.update({row.index: row for row in before.rows})
+        # Earlier rows are made when asked for; nothing is written to the second mapping.
+        self.rows = ChainMap({}, cast('dict[int, RunRow]', before.by_index))
         self._attempts.update(before.attempts)
         self._documents.update(before.documents)
         if before.rows:

@@ -18,6 +18,7 @@ from taxinet_ros.trials.record.book import UNKNOWN_TO_SAMPLER, check_same_campai
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import ARM, ARMS, UNTIL, recorded_rules
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.rows import RowsByIndex
 
 PERCEPTION_KEYS = ('perception', 'perception_sha256', 'timing')
 """The facts on perception and timing; all are empty until the graph has answered."""
@@ -112,10 +113,11 @@ def earlier_runs(
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     check_same_campaign(out, content, facts, of_graph)
     lag = int(facts.get('sampler_lag', LAG))
-    unknown = _unknown_to_sampler(content.facts, content.rows, lag)
-    to_repeat = {row.index: row for row in _not_done(content.rows, unknown, lag)}
-    rows = {row.index: row for row in content.rows if row.index not in to_repeat}
-    begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
+    results = [_Result(*values) for values in content.values('index', 'outcome', 'retries')]
+    unknown = _unknown_to_sampler(content.facts, results, lag)
+    not_done = _not_done(results, unknown, lag)
+    positions = {result.index: at for at, result in enumerate(results)}
+    begun = 1 + max((*content.unfinished, *positions), default=-1)
     if begun > facts['runs']:
         raise UsageError(
             f'--runs {facts["runs"]}: {begun} were started in {out}; use at least that number'
@@ -125,13 +127,26 @@ def earlier_runs(
     if rules:
         kept[UNTIL] = list(dict.fromkeys(rules))
     return EarlierRuns(
-        rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun,
+        rows=RowsByIndex(content.rows, {
+            index: at for index, at in positions.items() if index not in not_done
+        }),
+        to_repeat={index: content.rows[positions[index]] for index in not_done},
+        unknown_to_sampler=unknown, begun=begun,
         facts={**kept, UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else kept,
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Result:
+    """What must be known of each run to see which ones are repeated."""
+
+    index: int
+    outcome: Outcome
+    retries: int
+
+
 def _unknown_to_sampler(
-    before: Mapping[str, Any], rows: Sequence[RunRow], lag: int
+    before: Mapping[str, Any], rows: Sequence[_Result], lag: int
 ) -> frozenset[int]:
     """See :class:`EarlierRuns`. A run is chosen with the results up to ``lag`` runs before it."""
     known = before.get(UNKNOWN_TO_SAMPLER, [])
@@ -140,8 +155,8 @@ def _unknown_to_sampler(
     return frozenset([*known, *(index for index in broken if index + lag <= last)])
 
 
-def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list[RunRow]:
-    """The rows of runs that must be repeated.
+def _not_done(rows: Sequence[_Result], unknown: frozenset[int], lag: int) -> frozenset[int]:
+    """The indices of runs that must be repeated.
 
     This includes rejected scenes, which may have been chosen without a result that is now
     available. They need no run, and have the same result if nothing has changed.
@@ -151,10 +166,10 @@ def _not_done(rows: Sequence[RunRow], unknown: frozenset[int], lag: int) -> list
         if row.index not in unknown and (row.retries or row.outcome is Outcome.INFRA_ERROR)
     )
     sure = lag + min(broken, default=len(rows))
-    return [
-        row for row in rows if row.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
+    return frozenset(
+        row.index for row in rows if row.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
         or (row.outcome is Outcome.REJECTED and row.index >= sure)
-    ]
+    )
 
 
 def _kept_facts(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
