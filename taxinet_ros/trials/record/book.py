@@ -207,9 +207,13 @@ class CampaignBook:
         self.check_folder()
         make_out(self._out)
         path = self._out / RECORD_NAME
-        if why := repair_record(path):
+        try:
+            self._record = Record(path, as_text=AS_TEXT)
+        except UsageError:
+            if not (why := repair_record(path)):
+                raise
             warn_once(f'{why}; add requirements of taxinet monitor --add that are lost again')
-        self._record = Record(path, as_text=AS_TEXT)
+            self._record = Record(path, as_text=AS_TEXT)
         try:
             self.earlier = campaign_content(path, self._record.entries)
         except BaseException:
