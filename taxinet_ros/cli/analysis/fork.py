@@ -26,6 +26,7 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.cli.bag.input import controller_of, perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
+from taxinet_ros.core.mtl.interval import LOWER, RobustnessInterval
 from taxinet_ros.core.scenario_fields import BY_KEY, by_key
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
@@ -193,6 +194,7 @@ def _sweep(
         raise UsageError(f'--sweep {key}: is given by --set too; leave one out')
     recorded = _value_before(past, key)
     rows: list[dict[str, Any]] = []
+    intervals: list[RobustnessInterval] = []
     with stage_bars(console) as show:
         for number, value in enumerate(values):
             settings = dict(change['settings'])
@@ -200,11 +202,8 @@ def _sweep(
                 settings[key] = value
             done = fork_past(past, at_s=options.at_s, **{**change, 'settings': settings})
             headline = next(iter(done.rho))
-            interval = done.rho[headline]
-            rows.append({
-                key: value, 'outcome': str(done.outcome), 'rho_lower': interval.lower,
-                'rho_upper': interval.upper,
-            })
+            intervals.append(done.rho[headline])
+            rows.append({key: value, 'outcome': str(done.outcome), **intervals[-1].by_end()})
             show('forks', number + 1, len(values))
     out.mkdir(parents=True)
     table = pd.DataFrame(rows)
@@ -215,8 +214,8 @@ def _sweep(
         rho_before = before.judged[headline].interval.lower
     picture = write_png(
         sweep_picture(
-            list(values), [(row['rho_lower'], row['rho_upper']) for row in rows],
-            label=_label(key), headline=headline, before=(recorded, rho_before),
+            list(values), intervals, label=_label(key), headline=headline,
+            before=(recorded, rho_before),
             title=f'{past.recording.run_id}, changed at {options.at_s:g} s',
         ), out, LIGHT,
     )
@@ -225,7 +224,7 @@ def _sweep(
     for row in rows:
         console.print(
             f'{key}={row[key]:g}: {_WORDS.get(Outcome(row["outcome"]), row["outcome"])}, '
-            f'{headline} {row["rho_lower"]:+.3f}', soft_wrap=True, markup=False,
+            f'{headline} {row[LOWER]:+.3f}', soft_wrap=True, markup=False,
         )
     console.print(f'table: {out / "sweep.csv"}; picture: {picture}', soft_wrap=True, markup=False)
     return ExitCode.OK

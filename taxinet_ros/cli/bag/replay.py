@@ -20,6 +20,7 @@ from taxinet_ros.cli.bag.input import controller_of, perception_of, perception_w
 from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
@@ -29,7 +30,7 @@ from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 _COLUMNS = {
     interface.PERCEPTION: ('est_cte_m', 'est_he_rad'),
     interface.STEERING_CONTROLLER: ('steering_rad', 'speed_cmd_mps'),
-    interface.MTL_MONITOR: ('rho_lower.', 'rho_upper.'),
+    interface.MTL_MONITOR: (lower_column(''), upper_column('')),
 }
 
 

@@ -106,7 +106,7 @@ class _Figures(ProgressColumn):
         task.completed = len(rows)
         failed = sum(row.outcome is Outcome.FAIL for row in rows)
         least = min(
-            (row.headline[1] for row in rows if row.headline), default=math.nan
+            (row.headline.upper for row in rows if row.headline), default=math.nan
         )
         minutes = (time.monotonic() - self._began) / 60
         pace = (len(rows) - self._before) / max(minutes, 1e-3)

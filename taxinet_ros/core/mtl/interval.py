@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from taxinet_ros.errors import UsageError
 
@@ -42,6 +42,19 @@ class RobustnessInterval(NamedTuple):
     def exactly(cls, rho: float) -> Self:
         """Interval of a known robustness."""
         return cls(rho, rho)
+
+    @classmethod
+    def of_message(cls, message: Any) -> Self:
+        """Interval in a robustness message, or in one of a verdict's formulas."""
+        return cls(float(message.rho_lower), float(message.rho_upper))
+
+    def by_end(self) -> dict[str, float]:
+        """Its ends by :data:`LOWER` and :data:`UPPER`."""
+        return {LOWER: self.lower, UPPER: self.upper}
+
+    def by_column(self, spec: str) -> dict[str, float]:
+        """Its ends by :func:`lower_column` and :func:`upper_column` of a formula."""
+        return {lower_column(spec): self.lower, upper_column(spec): self.upper}
 
     @property
     def exact(self) -> bool:
