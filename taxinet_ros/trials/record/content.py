@@ -50,9 +50,9 @@ class CampaignContent:
     @property
     def by_index(self) -> Mapping[int, RunRow]:
         """The rows by index."""
-        return RowsByIndex(
-            self.rows, {index: at for at, (index,) in enumerate(self.values('index'))}
-        )
+        rows = self.rows
+        found = rows.indices if isinstance(rows, RecordedRows) else [row.index for row in rows]
+        return RowsByIndex(rows, {index: at for at, index in enumerate(found)})
 
     def values(self, *names: str) -> Iterator[tuple[Any, ...]]:
         """Some attributes of each row, by index, without making the rows if they are many."""

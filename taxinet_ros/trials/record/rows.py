@@ -59,6 +59,11 @@ class RecordedRows(Sequence[RunRow]):
     def __len__(self) -> int:
         return len(self._texts)
 
+    @property
+    def indices(self) -> Iterator[int]:
+        """The index of each row, which its key is."""
+        return map(int, self._keys)
+
     @overload
     def __getitem__(self, at: int) -> RunRow: ...
 
@@ -96,24 +101,36 @@ class RecordedRows(Sequence[RunRow]):
         Where an entry leaves out a value, it is null. None if the rows are few, or have something
         that only :class:`RunRow` reads or refuses.
         """
+        import pyarrow as pa
+
+        whole = self._read(list(PLAIN_COLUMNS), rest='infer')
+        if whole is None:
+            return None
+        for name, intervals in self._added.items():
+            ends = [intervals.get(key, (None, None)) for key in self._keys]
+            for column, values in zip(
+                (lower_column(name), upper_column(name)), zip(*ends, strict=True), strict=True
+            ):
+                whole = whole.append_column(column, pa.array(values, pa.float64()))
+        return whole.append_column(REAL_TIME_FACTOR, _real_time_factor(whole))
+
+    def some_columns(self, names: Sequence[str]) -> pa.Table | None:
+        """Some plain ones of :attr:`columns`, read in a third of the time."""
+        return self.columns if 'columns' in self.__dict__ else self._read(names, rest='ignore')
+
+    def _read(self, names: Sequence[str], rest: str) -> pa.Table | None:
         if len(self) <= FEW:
             return None
         import pyarrow as pa
 
         try:
             parts = [
-                _columns(self._texts[at:at + _AT_ONCE]) for at in range(0, len(self), _AT_ONCE)
+                _columns(self._texts[at:at + _AT_ONCE], names, rest)
+                for at in range(0, len(self), _AT_ONCE)
             ]
-            whole = pa.concat_tables(parts, promote_options='default')
-            for name, intervals in self._added.items():
-                ends = [intervals.get(key, (None, None)) for key in self._keys]
-                for column, values in zip(
-                    (lower_column(name), upper_column(name)), zip(*ends, strict=True), strict=True
-                ):
-                    whole = whole.append_column(column, pa.array(values, pa.float64()))
+            return pa.concat_tables(parts, promote_options='default')
         except (pa.ArrowException, TypeError, ValueError):
             return None
-        return whole.append_column(REAL_TIME_FACTOR, _real_time_factor(whole))
 
 
 class RowsByIndex(Mapping[int, RunRow]):
@@ -135,14 +152,15 @@ class RowsByIndex(Mapping[int, RunRow]):
 
 def values_of(rows: Sequence[RunRow], *names: str) -> Iterator[tuple[Any, ...]]:
     """Some attributes of each row: plain values and the outcome."""
-    columns = rows.columns if isinstance(rows, RecordedRows) else None
+    longer = [LONGER.get(name, name) for name in names]
+    columns = rows.some_columns(longer) if isinstance(rows, RecordedRows) else None
     if columns is None:
         yield from (tuple(getattr(row, name) for name in names) for row in rows)
         return
     words = {outcome.value: outcome for outcome in Outcome}
     found = []
-    for name in names:
-        values = with_defaults(columns, LONGER.get(name, name)).to_pylist()
+    for name in longer:
+        values = with_defaults(columns, name).to_pylist()
         found.append(map(words.__getitem__, values) if name == 'outcome' else values)
     yield from zip(*found, strict=True)
 
@@ -162,8 +180,13 @@ def _real_time_factor(columns: pa.Table) -> pa.ChunkedArray:
     return pc.if_else(pc.greater(wall_s, 0.0), pc.divide(sim_s, wall_s), math.nan)
 
 
-def _columns(texts: Sequence[str]) -> pa.Table:
+def _columns(texts: Sequence[str], names: Sequence[str], rest: str) -> pa.Table:
     """Columns of some rows; each number is the double nearest to its text, as in Python.
+
+    Args:
+        texts: the rows.
+        names: plain columns.
+        rest: whether to ``ignore`` or ``infer`` what else the rows have.
 
     Raises:
         ArrowException, ValueError: a row has something else than :meth:`RunRow.to_json` writes.
@@ -176,7 +199,7 @@ def _columns(texts: Sequence[str]) -> pa.Table:
         'boolean': pa.bool_(),
     }
     schema = pa.schema([
-        (ATTRIBUTES.get(name, name), types[kind]) for name, kind in PLAIN_COLUMNS.items()
+        (ATTRIBUTES.get(name, name), types[PLAIN_COLUMNS[name]]) for name in names
         if name != REAL_TIME_FACTOR
     ])
     data = '\n'.join(texts).encode()
@@ -184,10 +207,12 @@ def _columns(texts: Sequence[str]) -> pa.Table:
         pa.BufferReader(data),
         # One block in one thread: new columns are then in the order of their first appearance.
         read_options=pyarrow.json.ReadOptions(use_threads=False, block_size=len(data) + 1),
-        parse_options=pyarrow.json.ParseOptions(explicit_schema=schema),
+        parse_options=pyarrow.json.ParseOptions(
+            explicit_schema=schema, unexpected_field_behavior=rest,
+        ),
     )
     for name in NEEDED:
-        if read[name].null_count:
+        if name in schema.names and read[name].null_count:
             raise ValueError(f'a row has no {name}')
     found = {LONGER.get(name, name): read[name] for name in schema.names}
     for name in read.column_names[len(schema):]:

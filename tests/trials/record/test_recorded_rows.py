@@ -70,15 +70,18 @@ def test_given_rows_then_their_columns_are_to_the_bit_those_of_single_rows(
     data: st.DataObject, number: int
 ) -> None:
     rows = [data.draw(run_rows(index)) for index in range(number)]
+    names = ('index', 'outcome', 'retries', 'fingerprint')
     found = recorded(rows)
-    assert found.columns is not None
+    assert found.some_columns(['index']) is not None
+    for _ in ('read alone', 'of all'):
+        assert list(values_of(found, *names)) == list(values_of(rows, *names))
+        assert found.columns is not None
     one, other = table(found, NAMES), table(rows, NAMES)
     assert list(one.columns)[:8] == list(other.columns)[:8]
     pd.testing.assert_frame_equal(one, other, check_exact=True)
     assert csv_text(one) == csv_text(other)  # also the sign of zeros
     assert list(found) == rows
-    names = ('index', 'outcome', 'retries', 'fingerprint')
-    assert list(values_of(found, *names)) == list(values_of(rows, *names))
+    assert list(found.indices) == [row.index for row in rows]
 
 
 def some(number: int) -> list[RunRow]:
