@@ -128,7 +128,8 @@ class RecordedRows(Sequence[RunRow]):
                 _columns(self._texts[at:at + _AT_ONCE], names, rest)
                 for at in range(0, len(self), _AT_ONCE)
             ]
-            return pa.concat_tables(parts, promote_options='default')
+            # One chunk, as Parquet files are equal to the byte then.
+            return pa.concat_tables(parts, promote_options='default').combine_chunks()
         except (pa.ArrowException, TypeError, ValueError):
             return None
 

@@ -97,6 +97,8 @@ def test_given_a_formula_judged_afterwards_then_rows_have_it_where_it_is_known()
     found = recorded(some(4), added)
     assert found[1].robustness['later'] == RobustnessInterval.exactly(-0.5)
     assert 'later' not in found[2].robustness
+    assert found.columns is not None
+    assert all(column.num_chunks == 1 for column in found.columns.columns)  # else other bytes
     frame = table(found, ('phi_a',))
     pd.testing.assert_frame_equal(frame, table(list(found), ('phi_a',)), check_exact=True)
     assert frame['rho_later'].tolist()[1] == -0.5
