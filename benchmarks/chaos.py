@@ -35,8 +35,9 @@ from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.processes.child import ChildProcess
 from taxinet_ros.trials.past_runs.trials import TRIAL
+from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.facts import ROW
-from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME, read_table
 
 HANG_S = 900.0
 """Time after which a command counts as hung [s], even on a busy machine: most take seconds."""

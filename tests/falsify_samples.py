@@ -21,7 +21,8 @@ from taxinet_ros.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.scenes.source import Refused, Rejected, program_text
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
-from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
+from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
 
 SPACE = SearchSpace(choices=tuple(

@@ -23,7 +23,8 @@ from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.core import topics
 from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, Kind, ScenarioField
 from taxinet_ros.nodes.running.parameters import Parameter
-from taxinet_ros.trials.record.row import ON_DISK, RunRow
+from taxinet_ros.trials.record.columns import ATTRIBUTES
+from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -198,7 +199,7 @@ def columns() -> str:
     frame = table([], ['FORMULA'])
     rows = []
     for name, kind in frame.dtypes.items():
-        attribute = {on_disk: own for own, on_disk in ON_DISK.items()}.get(name, name)
+        attribute = ATTRIBUTES.get(name, name)
         what = BY_KEY[name].title if name in BY_KEY else told.get(attribute, _OTHER.get(name, ''))
         rows.append([f'`{name}`', str(kind), what])
     return _table(('column', 'type', 'what'), rows)

@@ -266,7 +266,7 @@ def worst_cases(found: Localisation, folder: Path) -> tuple[Case, ...]:
 
 
 def _rho(case: Case) -> float:
-    return case.row.headline[1] if case.row.headline else math.inf
+    return case.row.headline.upper if case.row.headline else math.inf
 
 
 def localisation_report(
@@ -525,7 +525,7 @@ def _case_values(case: Case, words: tuple[str, ...]) -> dict[str, Any]:
     values: dict[str, Any] = {
         'run_id': row.run_id, 'index': row.index,
         **{field.key: row.scene[field.key] for field in PAPER_FIELDS},
-        'rho': row.headline[0] if row.headline else None, 'blame': case.blame.value,
+        'rho': row.headline.lower if row.headline else None, 'blame': case.blame.value,
         'suffices': case.suffices.value, 'counted': case.counted,
         'scene_exact': None if control is None else control.exact,
     }

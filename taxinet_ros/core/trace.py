@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 
@@ -96,10 +97,9 @@ def columns_of_steps(
     if others:
         columns[CLEARANCE_COLUMN] = np.array([step.clearance_m for step in steps], np.float64)
     for number, spec in enumerate(specs):
-        for end in ('lower', 'upper'):
-            columns[f'rho_{end}.{spec}'] = np.array(
-                [getattr(step.readings[number], end) for step in steps], dtype=np.float64
-            )
+        readings = [step.readings[number] for step in steps]
+        columns[lower_column(spec)] = np.array([one.lower for one in readings], dtype=np.float64)
+        columns[upper_column(spec)] = np.array([one.upper for one in readings], dtype=np.float64)
     return columns
 
 

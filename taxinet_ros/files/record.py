@@ -19,7 +19,7 @@ import json
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -47,21 +47,18 @@ _LOST = 'lost'
 
 Entries = dict[str, dict[str, Any]]
 """Values by kind and key, in the order of the keys."""
-Makers = Mapping[str, Callable[[Any], Any]]
-"""By kind, what is made of each value as it is read, so that plain values need not be kept."""
-AS_IT_IS: Makers = {}
 
 
 class Record:
     """An open record. A context manager."""
 
-    def __init__(self, path: Path, *, create: bool = True, makers: Makers = AS_IT_IS) -> None:
+    def __init__(self, path: Path, *, create: bool = True, as_text: Collection[str] = ()) -> None:
         """Open a record for writing.
 
         Args:
             path: its file.
             create: whether it may be created, with its folder.
-            makers: for :attr:`entries`.
+            as_text: kinds whose values are left as JSON in :attr:`entries`, to be read later.
 
         Raises:
             UsageError: another command writes it, or it is damaged or of another version.
@@ -77,7 +74,7 @@ class Record:
                 self._connection = _connect(path, 'rwc' if create else 'rw')
                 _begin(self._connection)
             sync_folder(path.parent)
-            self._entries = _checked(path, self._connection, makers)
+            self._entries = _checked(path, self._connection, as_text)
             self._total = _total(self._connection)
             self._inode = _inode(path)
         except BaseException:
@@ -182,8 +179,12 @@ class Record:
             self.check_in_place()
 
 
-def read_record(path: Path, makers: Makers = AS_IT_IS) -> Entries:
+def read_record(path: Path, as_text: Collection[str] = ()) -> Entries:
     """Read a record, even while it is being written.
+
+    Args:
+        path: its file.
+        as_text: kinds of entries whose values are left as JSON, to be read later.
 
     Raises:
         UsageError: there is none, it is damaged or of another version, or it was damaged and its
@@ -191,7 +192,7 @@ def read_record(path: Path, makers: Makers = AS_IT_IS) -> Entries:
     """
     if not path.is_file():
         raise UsageError(f'{path}: no such file')
-    entries = _read(path, makers)
+    entries = _read(path, as_text)
     for why in entries.get(_LOST, {}).values():
         raise UsageError(f'{path}: was damaged ({why}); continue it to its end with --resume')
     return entries
@@ -373,12 +374,12 @@ def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
         raise
 
 
-def _read(path: Path, makers: Makers = AS_IT_IS) -> Entries:
+def _read(path: Path, as_text: Collection[str] = ()) -> Entries:
     if path.stat().st_size == 0:
         raise UsageError(_EMPTY.format(path))
     try:
         with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
-            return _checked(path, connection, makers)
+            return _checked(path, connection, as_text)
     except OSError as error:
         if error.errno != errno.EROFS:
             raise
@@ -388,10 +389,10 @@ def _read(path: Path, makers: Makers = AS_IT_IS) -> Entries:
         ) from error
 
 
-def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entries:
+def _checked(path: Path, connection: sqlite3.Connection, as_text: Collection[str]) -> Entries:
     """All entries, in one view of the file; their digests and number are checked."""
     found: Entries = {}
-    number, total = 0, bytes(_DIGEST_BYTES)
+    number, total = 0, 0
     with _named(path):
         connection.execute('BEGIN')
         try:
@@ -399,14 +400,10 @@ def _checked(path: Path, connection: sqlite3.Connection, makers: Makers) -> Entr
             for kind, key, value, digest in connection.execute(f'{_ALL} ORDER BY kind, key'):
                 if not _is_intact(kind, key, value, digest):
                     raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
-                number, total = number + 1, _xor(total, digest)
-                values = json.loads(value)
-                try:
-                    made = makers[kind](values) if kind in makers else values
-                except UsageError as error:
-                    raise UsageError(f'{path}: {error}') from error
-                found.setdefault(kind, {})[key] = made
-            if _total(connection) != (number, total):
+                number, total = number + 1, total ^ int.from_bytes(digest)
+                values = value if kind in as_text else json.loads(value)
+                found.setdefault(kind, {})[key] = values
+            if _total(connection) != (number, total.to_bytes(_DIGEST_BYTES)):
                 raise UsageError(f'{path}: damaged (entries are missing or exchanged)')
         finally:
             with contextlib.suppress(sqlite3.Error):
@@ -442,8 +439,8 @@ def _intact(path: Path) -> list[tuple[str, str, str]]:
 
 
 def _is_intact(kind: Any, key: Any, value: Any, digest: Any) -> bool:
-    texts = (kind, key, value)
-    return all(isinstance(text, str) for text in texts) and digest == _digest(kind, key, value)
+    texts = type(kind) is type(key) is type(value) is str  # not isinstance, as rows are many
+    return texts and digest == _digest(kind, key, value)
 
 
 def _check_version(path: Path, connection: sqlite3.Connection) -> None:
@@ -485,8 +482,7 @@ def _text(values: Any) -> str:
 
 
 def _digest(kind: str, key: str, value: str) -> bytes:
-    text = '\0'.join((kind, key, value))
-    return hashlib.sha256(text.encode()).digest()[:_DIGEST_BYTES]
+    return hashlib.sha256(f'{kind}\0{key}\0{value}'.encode()).digest()[:_DIGEST_BYTES]
 
 
 def _xor(one: bytes, other: bytes) -> bytes:

@@ -30,7 +30,7 @@ from taxinet_ros.trials.experiment import JSON_NAME as EXPERIMENT_NAME
 from taxinet_ros.trials.options import AUDIT_FOLDER
 from taxinet_ros.trials.past_runs.judged_run import bag_differences
 from taxinet_ros.trials.record.content import (
-    MAKERS,
+    AS_TEXT,
     CampaignContent,
     campaign_content,
     read_campaign,
@@ -199,7 +199,7 @@ def _checked_tables(folder: Path, found: Examination) -> CampaignContent:
     path, running = folder / RECORD_NAME, False
     with contextlib.ExitStack() as opened:
         try:
-            record = opened.enter_context(Record(path, create=False, makers=MAKERS))
+            record = opened.enter_context(Record(path, create=False, as_text=AS_TEXT))
         except OSError:  # nothing may be written here
             content = read_campaign(folder)
         except UsageError:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import abc
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -63,13 +63,13 @@ class Proposer(abc.ABC):
             UsageError: it cannot propose scenes of this campaign.
         """
 
-    def resume(self, content: CampaignContent) -> tuple[Iterable[RunRow], Mapping[str, Any]]:
+    def resume(self, content: CampaignContent) -> tuple[Mapping[int, RunRow], Mapping[str, Any]]:
         """Take what the record contains, before the first proposal.
 
         Returns:
-            The rows of runs that are not made again, and further facts.
+            The rows, by index, of runs that are not made again, and further facts.
         """
-        return (), {}
+        return {}, {}
 
     def stop_reason(self, rows: Sequence[RunRow]) -> str:
         """Why no more runs are needed although some are left, given the rows so far; or ''."""
@@ -167,8 +167,7 @@ class Engine(Generic[P_co]):
             opened.enter_context(self.book)
             earlier = self.book.earlier
             check_same_campaign(self.options.out, earlier, facts, undecided_facts(facts))
-            rows, more = self.proposer.resume(earlier)
-            self._recorded = {row.index: row for row in rows}
+            self._recorded, more = self.proposer.resume(earlier)
             self.book.begin({**facts, **kept_facts(earlier.facts, facts), **more})
             self._opened = opened.pop_all()
         return self

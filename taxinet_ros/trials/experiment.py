@@ -26,7 +26,7 @@ import dataclasses
 import datetime
 import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -353,13 +353,13 @@ def _may_be_begun(experiment: Experiment, out: Path) -> bool:
     )
 
 
-def arm_rows(experiment: Experiment, out: Path) -> dict[str, tuple[RunRow, ...]]:
+def arm_rows(experiment: Experiment, out: Path) -> dict[str, Sequence[RunRow]]:
     """The runs of every arm by name."""
     return {arm.name: read_campaign(out / arm.name).rows for arm in experiment.arms}
 
 
 def check_paired(
-    experiment: Experiment, rows: Mapping[str, tuple[RunRow, ...]]
+    experiment: Experiment, rows: Mapping[str, Sequence[RunRow]]
 ) -> None:
     """Check that the arms have the same scenes except for each arm's own values.
 

@@ -257,19 +257,19 @@ class Search(Proposer):
         )
         return self._facts()
 
-    def resume(self, content: CampaignContent) -> tuple[Iterable[RunRow], Mapping[str, Any]]:
+    def resume(self, content: CampaignContent) -> tuple[Mapping[int, RunRow], Mapping[str, Any]]:
         """See :class:`.Proposer`."""
         lag, runs = self._recorded_lag, self.campaign.runs
         unknown = unknown_to_sampler(content, lag)
         self._unknown, self._started_s = unknown, time.monotonic()
-        self._repeated = runs_to_repeat(content.rows, unknown, lag)
+        self._repeated = runs_to_repeat(content, unknown, lag)
         self._begun = content.begun
         if self._begun > runs:
             raise UsageError(
                 f'--runs {runs}: {self._begun} were started in {self.campaign.out}; use at least '
                 'that number'
             )
-        done = [row for row in content.rows if row.index not in self._repeated]
+        done = content.only(content.by_index.keys() - self._repeated.keys())
         return done, {UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else {}
 
     def _settle_sampler(self, asked: ProgramSampler | None) -> str:

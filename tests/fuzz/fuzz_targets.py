@@ -146,7 +146,7 @@ def _resume(folder: Path) -> Use:
             ])
         content = read_campaign(folder)
         check_same_campaign(folder, content, facts)
-        runs_to_repeat(content.rows, unknown_to_sampler(content, LAG), LAG)
+        runs_to_repeat(content, unknown_to_sampler(content, LAG), LAG)
         return table(content.rows, ['phi_eventually'])
     return use
 

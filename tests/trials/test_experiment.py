@@ -33,9 +33,10 @@ from taxinet_ros.trials.experiment import (
     read_experiment,
     with_network,
 )
+from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.facts import campaign_facts
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.table import read_table
 
 GOOD = {
     'program': 's_falsif', 'runs': 5, 'perception': 'truth', 'sampler': 'halton',

@@ -38,6 +38,7 @@ from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import share_bounds
+from taxinet_ros.trials.record.columns import rho_column
 from taxinet_ros.trials.record.table import read_table
 
 DEFAULT_MARGIN = 0.05
@@ -222,7 +223,8 @@ def against_baseline(
     """
     other = read_table(baseline)
     after = runs_of(frame, path)
-    before = runs_of(other, baseline, after.spec if f'rho_{after.spec}' in other.columns else None)
+    same = rho_column(after.spec) in other.columns
+    before = runs_of(other, baseline, after.spec if same else None)
     if before.spec != after.spec:
         raise UsageError(
             f'--baseline {baseline}: was judged by {before.spec}, not by {after.spec}, so the '

@@ -173,7 +173,7 @@ def pairs_frame(found: PairedArms) -> pd.DataFrame:
 
 def rho_of(row: RunRow) -> float:
     """Robustness of the headline formula, NaN if a run has none."""
-    return row.headline[0] if row.headline else math.nan
+    return row.headline.lower if row.headline else math.nan
 
 
 def _line(
@@ -187,7 +187,7 @@ def _line(
         values |= {
             f'run_{name}': row.run_id if row else None,
             f'outcome_{name}': row.outcome.value if row else None,
-            f'rho_{name}': row.headline[0] if row and row.headline else None,
+            f'rho_{name}': row.headline.lower if row and row.headline else None,
             f'left_runway_{name}': row.left_runway if row else None,
             f'max_cross_track_m_{name}': row.max_cross_track_m if row else None,
             f'settle_time_s_{name}': row.settle_time_s if row else None,

@@ -25,6 +25,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.trace import Column
+from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -190,7 +191,7 @@ class _Panel:
             words = f'{word} {_signed(row[column])} m'
             draw.text((x, y), words, colour, _font(16), anchor='rm')
         if self.spec:
-            ends = (row[f'rho_{end}.{self.spec}'] for end in ('lower', 'upper'))
+            ends = (row[column(self.spec)] for column in (lower_column, upper_column))
             words = f'[{", ".join(map(_signed, ends))}]'
             draw.text((rho_right, y), words, _RHO, _font(16), anchor='rm')
 
@@ -277,7 +278,7 @@ def _draw_panel(trace: Mapping[str, Column], half_width_m: float) -> _Panel:
     figure = Figure(figsize=(_SHAPE_PX[0] / _DPI, PANEL_HEIGHT_PX / _DPI), dpi=_DPI)
     canvas = FigureCanvasAgg(figure)
     plots = (figure.add_axes((0.07, 0.15, 0.5, 0.72)), figure.add_axes((0.66, 0.15, 0.32, 0.72)))
-    spec = next((n for n in trace if n.startswith('rho_upper.')), '').removeprefix('rho_upper.')
+    spec = next(iter(specs_with_interval(trace)), '')
     curves = _draw_errors(plots[0], t_s, trace, half_width_m)
     if spec:
         curves += _draw_robustness(plots[1], t_s, trace, spec)
@@ -319,8 +320,8 @@ def _draw_robustness(
     plot: Axes, t_s: Column, trace: Mapping[str, Column], spec: str
 ) -> list[Any]:
     """Draw the robustness interval of one formula."""
-    upper = np.asarray(trace[f'rho_upper.{spec}'], dtype=float)
-    lower = np.asarray(trace[f'rho_lower.{spec}'], dtype=float)
+    upper = np.asarray(trace[upper_column(spec)], dtype=float)
+    lower = np.asarray(trace[lower_column(spec)], dtype=float)
     known = np.concatenate([upper, lower, [0.0]])
     known = known[np.isfinite(known)]
     margin = 0.12 * max(float(np.ptp(known)), 1.0)

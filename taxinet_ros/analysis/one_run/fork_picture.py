@@ -11,6 +11,7 @@ from matplotlib.figure import Figure, FigureBase
 from numpy.typing import NDArray
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
+from taxinet_ros.core.mtl.interval import RobustnessInterval, lower_column, upper_column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.trace import Column
 from taxinet_ros.core.types import NS_PER_S
@@ -124,15 +125,15 @@ def _draw_errors(axes: Axes, run: Shown, colour: str) -> None:
 def _draw_robustness(axes: Axes, run: Shown, colour: str, headline: str) -> None:
     t_s = np.asarray(run.columns['t_ns'], dtype=np.float64) / NS_PER_S
     low, high = (
-        np.clip(np.asarray(run.columns[f'rho_{end}.{headline}'], dtype=np.float64), -1e6, 1e6)
-        for end in ('lower', 'upper')
+        np.clip(np.asarray(run.columns[column(headline)], dtype=np.float64), -1e6, 1e6)
+        for column in (lower_column, upper_column)
     )
     axes.fill_between(t_s, low, high, color=colour, alpha=0.25, linewidth=0)
     axes.plot(t_s, high, color=colour, linewidth=1.2)
 
 
 def sweep_picture(
-    values: Sequence[float], rho: Sequence[tuple[float, float]], *, label: str, title: str,
+    values: Sequence[float], rho: Sequence[RobustnessInterval], *, label: str, title: str,
     before: tuple[float | None, float], headline: str,
 ) -> Picture:
     """Robustness of forked runs over what was changed.

@@ -19,6 +19,7 @@ from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.place.markings import Polygon, markings
@@ -217,7 +218,6 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
     """
     recording = open_recording(bag)
     trace, facts = recording.columns, recording.facts
-    specs = [name.removeprefix('rho_lower.') for name in trace if name.startswith('rho_lower.')]
     place = typed_place(DEFAULT_PLACE if facts is None else facts.scene['place'])
     track = place.track(RUNWAY_TRACK if facts is None else facts.scene['track'])
     curves = {
@@ -235,7 +235,8 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
         t_s=np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S,
         curves=curves,
         intervals={
-            spec: (trace[f'rho_lower.{spec}'], trace[f'rho_upper.{spec}']) for spec in specs
+            spec: (trace[lower_column(spec)], trace[upper_column(spec)])
+            for spec in specs_with_interval(trace)
         },
         frames=read_frames(recording),
     )

@@ -23,6 +23,7 @@ from taxinet_ros.analysis.runs.features import (
     feature_columns,
     scene_columns,
 )
+from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.provenance import Provenance
@@ -37,6 +38,7 @@ from taxinet_ros.trials.rates import (
     sample_size_was_fixed,
     without_gaps,
 )
+from taxinet_ros.trials.record.columns import rho_column, specs_of
 from taxinet_ros.trials.record.facts import (
     planned_runs,
     read_facts,
@@ -142,7 +144,6 @@ def difference(one: GroupRate, other: GroupRate) -> Difference:
 _SCENE = [feature.source for feature in PAPER_FEATURES]
 _NEEDED = ['run_id', 'index', 'program', 'perception', 'outcome', 'weight', *_SCENE]
 _JUDGED = [Outcome.PASS.value, Outcome.FAIL.value]
-_RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
 
 
 class Weighting(Enum):
@@ -353,8 +354,7 @@ def distinct_labels(campaigns: Sequence[CampaignRuns]) -> list[CampaignRuns]:
 
 
 def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
-    names = [str(name).removeprefix(_RHO) for name in table.columns
-             if str(name).startswith(_RHO) and '.' not in str(name)]
+    names = specs_of(table.columns)
     if not names:
         raise UsageError(f'{path}: the table has no robustness')
     if spec is not None and spec not in names:
@@ -364,11 +364,11 @@ def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
 
 def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
     """Features and outcome of judged runs; ``failed`` is missing if the sign is not known."""
-    rho = judged[_RHO + spec].to_numpy(dtype=np.float64)
+    rho = judged[rho_column(spec)].to_numpy(dtype=np.float64)
     empty = np.full(len(rho), np.nan)
     lower, upper = (
-        judged[start + spec].to_numpy(dtype=np.float64) if start + spec in judged.columns else empty
-        for start in (_LOWER, _UPPER)
+        judged[column].to_numpy(dtype=np.float64) if column in judged.columns else empty
+        for column in (lower_column(spec), upper_column(spec))
     )
     exact = ~np.isnan(rho)
     bound = np.where(upper <= 0, upper, np.where(lower > 0, lower, np.nan))

@@ -121,7 +121,7 @@ class RunRecord:
         if header is not None and stamp_of(message) != stamp:
             raise ValueError(f'header stamp is {stamp_of(message)} ns')
         if is_topic(name, ROBUSTNESS):
-            reading = RobustnessInterval(float(message.rho_lower), float(message.rho_upper))
+            reading = RobustnessInterval.of_message(message)
             self.robustness.setdefault(step, {})[str(message.spec)] = reading
 
     def last_seq(self) -> int:
@@ -292,7 +292,7 @@ def _check_fields(once: str, message: Any) -> None:
         _ = int(message.state), str(message.outcome), int(message.seq)
     elif once == VERDICT:
         for spec in message.specs:
-            _ = str(spec.spec), float(spec.rho_lower), float(spec.rho_upper)
+            _ = str(spec.spec), RobustnessInterval.of_message(spec)
 
 
 def _verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list[Finding]]:
@@ -387,7 +387,7 @@ def _interval(message: Any) -> RobustnessInterval | None:
     """Interval in a robustness message; None for no message."""
     if message is None:
         return None
-    return RobustnessInterval(float(message.rho_lower), float(message.rho_upper))
+    return RobustnessInterval.of_message(message)
 
 
 def _differences(message: Any, values: dict[str, Any]) -> list[str]:

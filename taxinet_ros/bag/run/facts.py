@@ -215,9 +215,8 @@ def run_facts(recording: Recording) -> RunFacts | None:
 
 def _judged(reading: Any) -> RecordedRobustness:
     return RecordedRobustness(
-        formula=str(reading.formula), final=bool(reading.final), interval=RobustnessInterval(
-            float(reading.rho_lower), float(reading.rho_upper)
-        ),
+        formula=str(reading.formula), final=bool(reading.final),
+        interval=RobustnessInterval.of_message(reading),
     )
 
 

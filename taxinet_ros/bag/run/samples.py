@@ -266,8 +266,6 @@ def _partial(steps: Mapping[str, Mapping[int, Any]]) -> dict[str, str]:
 def _readings(messages: Iterable[Any]) -> dict[str, RecordedReading]:
     """The newest reading of each formula."""
     return {
-        str(one.formula): RecordedReading(
-            stamp_of(one), RobustnessInterval(float(one.rho_lower), float(one.rho_upper))
-        )
+        str(one.formula): RecordedReading(stamp_of(one), RobustnessInterval.of_message(one))
         for one in sorted(messages, key=stamp_of)
     }

@@ -31,6 +31,7 @@ from taxinet_ros.bag.run.topics import (
     is_topic,
 )
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
 from taxinet_ros.core.traffic.traffic import NOBODY
@@ -183,10 +184,7 @@ def _cells(told: Mapping[str, Sequence[Any]]) -> Mapping[int, Mapping[str, float
         cells[message.seq].update(
             steering_rad=command.steering_rad, speed_cmd_mps=command.speed_mps)
     for message in told[ROBUSTNESS]:
-        cells[message.seq] |= {
-            f'rho_lower.{message.spec}': float(message.rho_lower),
-            f'rho_upper.{message.spec}': float(message.rho_upper),
-        }
+        cells[message.seq] |= RobustnessInterval.of_message(message).by_column(message.spec)
     return cells
 
 

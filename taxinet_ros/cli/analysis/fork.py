@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from taxinet_ros.api.fork import Past
     from taxinet_ros.api.run import Run
     from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.core.mtl.interval import RobustnessInterval
 
 _GAIN = 'steering.'
 _MOST_POINTS = 1000
@@ -220,6 +221,7 @@ def _sweep(
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
     from taxinet_ros.api.fork import fork_past
     from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.core.mtl.interval import LOWER
     from taxinet_ros.files.atomic import write_atomically
 
     key, values = sweep_values(sweep)
@@ -227,6 +229,7 @@ def _sweep(
         raise UsageError(f'--sweep {key}: is given by --set too; leave one out')
     recorded = _value_before(past, key)
     rows: list[dict[str, Any]] = []
+    intervals: list[RobustnessInterval] = []
     with stage_bars(console) as show:
         for number, value in enumerate(values):
             settings = dict(change['settings'])
@@ -234,11 +237,8 @@ def _sweep(
                 settings[key] = value
             done = fork_past(past, at_s=at_s, **{**change, 'settings': settings})
             headline = next(iter(done.rho))
-            interval = done.rho[headline]
-            rows.append({
-                key: value, 'outcome': str(done.outcome), 'rho_lower': interval.lower,
-                'rho_upper': interval.upper,
-            })
+            intervals.append(done.rho[headline])
+            rows.append({key: value, 'outcome': str(done.outcome), **intervals[-1].by_end()})
             show('forks', number + 1, len(values))
     out.mkdir(parents=True)
     table = pd.DataFrame(rows)
@@ -249,8 +249,8 @@ def _sweep(
         rho_before = before.judged[headline].interval.lower
     picture = write_png(
         sweep_picture(
-            list(values), [(row['rho_lower'], row['rho_upper']) for row in rows],
-            label=_label(key), headline=headline, before=(recorded, rho_before),
+            list(values), intervals, label=_label(key), headline=headline,
+            before=(recorded, rho_before),
             title=f'{past.recording.run_id}, changed at {at_s:g} s',
         ), out, LIGHT,
     )
@@ -259,7 +259,7 @@ def _sweep(
     for row in rows:
         console.print(
             f'{key}={row[key]:g}: {_outcome_words(row["outcome"])}, '
-            f'{headline} {row["rho_lower"]:+.3f}',
+            f'{headline} {row[LOWER]:+.3f}',
         )
     console.print(f'table: {out / "sweep.csv"}; picture: {picture}')
     return ExitCode.OK

@@ -188,7 +188,7 @@ class _Judged:
     """Runs to be judged: a campaign's, or those of a network in a baseline's scenes."""
 
     folder: Path
-    rows: tuple[RunRow, ...]
+    rows: Sequence[RunRow]
     facts: Mapping[str, Any]
     planned: Planned
     notes: tuple[str, ...]

@@ -200,7 +200,7 @@ def _bag_document(bag: JudgedBag) -> dict[str, Any]:
         'verdicts': [
             {
                 'spec': one.spec.name, 'formula': one.spec.text, 'verdict': one.verdict,
-                'rho_lower': _known(one.interval.lower), 'rho_upper': _known(one.interval.upper),
+                **{end: _known(rho) for end, rho in one.interval.by_end().items()},
                 'decided_s': one.decided_s, 'breach_s': one.breach_s,
                 'recorded': None if one.recorded is None else [*map(_known, one.recorded)],
                 'as_recorded': one.same, 'why_unclear': one.why,

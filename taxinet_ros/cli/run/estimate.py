@@ -102,7 +102,7 @@ def _next_lines(found: RareEstimate, search: Engine[Search]) -> Sequence[str]:
             'tell both, as each misses in up to 5 %'
         )
     elif failed:
-        worst = min(failed, key=lambda row: row.headline[1] if row.headline else 0.0)
+        worst = min(failed, key=lambda row: row.headline.upper if row.headline else 0.0)
         lines.append(
             f'next: taxinet analyze {shlex.quote(str(out))} for causes, or taxinet explain '
             f'{shlex.quote(str(out / worst.run_id))} for the worst failure'

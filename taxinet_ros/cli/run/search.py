@@ -7,7 +7,7 @@ import datetime
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,7 @@ class _Figures(ProgressColumn):
         task.completed = len(rows)
         failed = sum(row.outcome is Outcome.FAIL for row in rows)
         least = min(
-            (row.headline[1] for row in rows if row.headline), default=math.nan
+            (row.headline.upper for row in rows if row.headline), default=math.nan
         )
         minutes = (time.monotonic() - self._began) / 60
         pace = (len(rows) - self._before) / max(minutes, 1e-3)
@@ -252,7 +252,7 @@ def _run_arm(arm: Search, console: Console, *, first: bool) -> Engine[Search]:
 
 
 def _report(
-    experiment: Experiment, rows: dict[str, tuple[RunRow, ...]], out: Path, console: Console, *,
+    experiment: Experiment, rows: dict[str, Sequence[RunRow]], out: Path, console: Console, *,
     as_json: bool,
 ) -> None:
     from taxinet_ros.analysis.experiment.arms import paired_arms, pairs_frame

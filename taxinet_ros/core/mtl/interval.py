@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
-from typing import NamedTuple, Self
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple, Self
 
 from taxinet_ros.errors import UsageError
+
+LOWER, UPPER = 'rho_lower', 'rho_upper'
+"""Names of the ends of an interval, in messages and in JSON."""
 
 
 class Verdict(enum.IntEnum):
@@ -39,6 +42,19 @@ class RobustnessInterval(NamedTuple):
     def exactly(cls, rho: float) -> Self:
         """Interval of a known robustness."""
         return cls(rho, rho)
+
+    @classmethod
+    def of_message(cls, message: Any) -> Self:
+        """Interval in a robustness message, or in one of a verdict's formulas."""
+        return cls(float(message.rho_lower), float(message.rho_upper))
+
+    def by_end(self) -> dict[str, float]:
+        """Its ends by :data:`LOWER` and :data:`UPPER`."""
+        return {LOWER: self.lower, UPPER: self.upper}
+
+    def by_column(self, spec: str) -> dict[str, float]:
+        """Its ends by :func:`lower_column` and :func:`upper_column` of a formula."""
+        return {lower_column(spec): self.lower, upper_column(spec): self.upper}
 
     @property
     def exact(self) -> bool:
@@ -112,6 +128,22 @@ class RobustnessInterval(NamedTuple):
         sign = '' if self.exact else '<=' if self.upper < math.inf else '>='
         value = self.lower if sign == '>=' else self.upper
         return f'rho {sign}{value:+{max(width - len(sign), 0)}.2f}'
+
+
+def lower_column(spec: str) -> str:
+    """Column with the lower end of a formula's interval, in tables and traces."""
+    return f'{LOWER}.{spec}'
+
+
+def upper_column(spec: str) -> str:
+    """Column with the upper end of a formula's interval."""
+    return f'{UPPER}.{spec}'
+
+
+def specs_with_interval(columns: Iterable[object]) -> list[str]:
+    """Names of the formulas that a table or trace has the interval of, in its order."""
+    start = lower_column('')
+    return [str(name).removeprefix(start) for name in columns if str(name).startswith(start)]
 
 
 def exact_intervals(rho: Mapping[str, float]) -> dict[str, RobustnessInterval]:

@@ -135,7 +135,7 @@ class CampaignInput:
     bags: Mapping[str, str]
 
     @property
-    def rows(self) -> tuple[RunRow, ...]:
+    def rows(self) -> Sequence[RunRow]:
         """Its runs."""
         return self.recorded.rows
 

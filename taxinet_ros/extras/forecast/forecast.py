@@ -28,6 +28,7 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -261,7 +262,7 @@ def samples_of(recording: Recording, spec: str) -> Iterator[Sample]:
         BagError: it cannot be read.
     """
     columns, path = recording.columns, recording.path
-    names = ('cte_m', 'he_rad', 'distance_m', 'est_cte_m', f'rho_lower.{spec}', f'rho_upper.{spec}')
+    names = ('cte_m', 'he_rad', 'distance_m', 'est_cte_m', lower_column(spec), upper_column(spec))
     for name in names[4:]:
         if name not in columns:
             raise UsageError(

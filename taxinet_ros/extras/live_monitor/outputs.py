@@ -104,7 +104,7 @@ def spec_status(node: str, spec: Spec, standing: Standing, silence: str) -> Diag
         level, line = max(level, Level.WARN), f'{line}; {silence}'
     reading = standing.reading
     values = {
-        'formula': spec.text, 'rho_lower': reading.lower, 'rho_upper': reading.upper,
+        'formula': spec.text, **reading.interval.by_end(),
         'samples': reading.samples, 'rejected': reading.rejected,
     }
     return status(level, f'{node}: {spec.name}', line, values)

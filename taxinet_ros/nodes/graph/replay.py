@@ -30,6 +30,7 @@ from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING, gains_text
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
@@ -272,10 +273,7 @@ def _numbers(message: Any) -> dict[str, float]:
         return {'est_cte_m': seen.cte_m, 'est_he_rad': seen.he_rad} if seen.usable else {}
     if isinstance(message, interface.COMMAND.type):
         return {'steering_rad': message.steering_angle, 'speed_cmd_mps': message.speed}
-    return {
-        f'rho_lower.{message.spec}': message.rho_lower,
-        f'rho_upper.{message.spec}': message.rho_upper,
-    }
+    return RobustnessInterval.of_message(message).by_column(message.spec)
 
 
 def rerun(

@@ -316,7 +316,7 @@ def result_of(answer: Any, half_width_m: float = KMWH_HALF_WIDTH_M) -> RunResult
 def _judged(verdict: Verdict, half_width_m: float) -> dict[str, Any]:
     return {
         'robustness': {
-            one.spec: RobustnessInterval(one.rho_lower, one.rho_upper) for one in verdict.specs
+            one.spec: RobustnessInterval.of_message(one) for one in verdict.specs
         },
         'stopped_early': verdict.stopped_early,
         'statistics': statistics_of(verdict, half_width_m),

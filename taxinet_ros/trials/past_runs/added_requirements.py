@@ -13,7 +13,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.trials.past_runs.judged_run import check_same_run
 from taxinet_ros.trials.record.content import (
-    MAKERS,
+    AS_TEXT,
     REQUIREMENT,
     CampaignContent,
     campaign_content,
@@ -100,7 +100,7 @@ def add_requirements(
 
 def _opened(folder: Path) -> Record:
     """The record of an intact campaign that no command writes."""
-    return Record(folder / RECORD_NAME, create=False, makers=MAKERS)
+    return Record(folder / RECORD_NAME, create=False, as_text=AS_TEXT)
 
 
 def _own_formulas(content: CampaignContent) -> dict[str, str]:

@@ -45,19 +45,23 @@ class RecordedCampaign:
         return self.content.facts
 
     @property
-    def rows(self) -> tuple[RunRow, ...]:
-        """Latest result of each run, by index, in display units."""
+    def rows(self) -> Sequence[RunRow]:
+        """Latest result of each run, by index, in display units; many are read when asked for."""
         return self.content.rows
 
     @property
     def judged(self) -> tuple[RunRow, ...]:
         """The runs with a verdict."""
-        return tuple(row for row in self.rows if row.outcome.judged)
+        return self._with(Outcome.PASS, Outcome.FAIL)
 
     @property
     def counterexamples(self) -> tuple[RunRow, ...]:
         """The runs that failed."""
-        return tuple(row for row in self.rows if row.outcome is Outcome.FAIL)
+        return self._with(Outcome.FAIL)
+
+    def _with(self, *outcomes: Outcome) -> tuple[RunRow, ...]:
+        found = enumerate(self.content.values('outcome'))
+        return tuple(self.rows[at] for at, (outcome,) in found if outcome in outcomes)
 
     @property
     def judging(self) -> Judging:

@@ -45,6 +45,7 @@ from taxinet_ros.trials.past_runs.trials import (
     run_trials,
 )
 from taxinet_ros.trials.rates import sample_size_was_fixed
+from taxinet_ros.trials.record.columns import rho_column, specs_of
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import read_any_table
@@ -167,8 +168,7 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
 
 def _of_table(path: Path, runs: int | None) -> SceneSet:
     frame = read_any_table(path)
-    names = [str(name).removeprefix('rho_') for name in frame.columns
-             if str(name).startswith('rho_') and '.' not in str(name)]
+    names = specs_of(frame.columns)
     if not names or names[0] not in SHIPPED:
         raise UsageError(
             f'{path}: a table has no text of its formula {names[0] if names else ""}; name the '
@@ -205,7 +205,7 @@ def _row(values: Mapping[Any, Any], spec: str) -> RunRow:
         run_id=str(values['run_id']), index=int(values['index']), program=str(values['program']),
         seed=int(values.get('seed', 0)), perception=str(values['perception']),
         outcome=Outcome(values['outcome']), sampler=str(values.get('sampler', '') or ''),
-        robustness=exact_intervals({spec: float(values[f'rho_{spec}'])}), **scene,
+        robustness=exact_intervals({spec: float(values[rho_column(spec)])}), **scene,
     )
 
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import ChainMap, Counter
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.documents import NamedDocument
@@ -29,9 +29,9 @@ from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.files.record import RECORD_NAME, Record, repair_record, repaired
 from taxinet_ros.trials.options import CampaignOptions, check_new, make_out
 from taxinet_ros.trials.record.content import (
+    AS_TEXT,
     DOCUMENT,
     END,
-    MAKERS,
     CampaignContent,
     campaign_content,
     run_key,
@@ -157,7 +157,7 @@ class CampaignBook:
         """
         self.facts: dict[str, Any] = {}
         self.earlier = CampaignContent()
-        self.rows: dict[int, RunRow] = {}
+        self.rows: MutableMapping[int, RunRow] = {}
         self.warning = ''
         self.complete = False
         self.options = options
@@ -190,9 +190,13 @@ class CampaignBook:
         self.check_folder()
         make_out(self._out)
         path = self._out / RECORD_NAME
-        if why := repair_record(path):
+        try:
+            self._record = Record(path, as_text=AS_TEXT)
+        except UsageError:
+            if not (why := repair_record(path)):
+                raise
             warn_once(f'{why}; add requirements of taxinet monitor --add that are lost again')
-        self._record = Record(path, makers=MAKERS)
+            self._record = Record(path, as_text=AS_TEXT)
         try:
             self.earlier = campaign_content(path, self._record.entries)
         except BaseException:
@@ -254,7 +258,8 @@ class CampaignBook:
         """
         before = self.earlier
         self.facts = {**facts, STACKS: {**recorded_stacks(before.facts), **facts[STACKS]}}
-        self.rows.update({row.index: row for row in before.rows})
+        # Earlier rows are made when asked for; nothing is written to the second mapping.
+        self.rows = ChainMap({}, cast('dict[int, RunRow]', before.by_index))
         self._attempts.update(before.attempts)
         self._documents.update(before.documents)
         if before.rows:

@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME, Entries, Makers, read_record
+from taxinet_ros.files.record import RECORD_NAME, Entries, read_record
 from taxinet_ros.trials.record.facts import BEGUN, FACTS, ROW, SPARE
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.rows import FEW, RecordedRows, RowsByIndex, values_of
 
 REQUIREMENT, DOCUMENT, END = 'requirement', 'document', 'end'
 """Kinds of entries: a formula evaluated afterwards, a document that is not shipped, and that the
 campaign ended in good order after the last result."""
 
-
-def _row(values: Any) -> RunRow:
-    try:
-        return RunRow.from_json(values)
-    except (LookupError, TypeError, ValueError) as error:
-        raise UsageError(f'not a row of this version ({error})') from error
-
-
-MAKERS: Makers = {ROW: _row}
-"""What is made of the entries of a campaign."""
+AS_TEXT = frozenset({BEGUN, ROW})
+"""Kinds of which there is one a run, and that are read later (:mod:`.rows`)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,7 +28,7 @@ class CampaignContent:
 
     Attributes:
         facts: see :mod:`.facts`; empty if not yet written.
-        rows: the result of each run, by index.
+        rows: the result of each run, by index; many are read as they are asked for.
         attempts: number of starts of each run, by index.
         added: formulas evaluated afterwards, by name; the rows contain their values.
         finished: whether the campaign ended in good order after the last result.
@@ -44,7 +36,7 @@ class CampaignContent:
     """
 
     facts: Mapping[str, Any] = field(default_factory=dict)
-    rows: tuple[RunRow, ...] = ()
+    rows: Sequence[RunRow] = ()
     attempts: Mapping[int, int] = field(default_factory=dict)
     added: Mapping[str, str] = field(default_factory=dict)
     finished: bool = False
@@ -53,12 +45,32 @@ class CampaignContent:
     @property
     def unfinished(self) -> tuple[int, ...]:
         """Indices of runs that were started and have no result, ascending."""
-        return tuple(sorted(set(self.attempts) - {row.index for row in self.rows}))
+        return tuple(sorted(self.attempts.keys() - self.by_index.keys()))
+
+    @property
+    def by_index(self) -> Mapping[int, RunRow]:
+        """The rows by index."""
+        return RowsByIndex(self.rows, {index: at for at, index in enumerate(self._indices)})
+
+    def only(self, wanted: Set[int]) -> Mapping[int, RunRow]:
+        """The rows of some indices, by index."""
+        return RowsByIndex(self.rows, {
+            index: at for at, index in enumerate(self._indices) if index in wanted
+        })
+
+    @property
+    def _indices(self) -> Iterable[int]:
+        rows = self.rows
+        return rows.indices if isinstance(rows, RecordedRows) else [row.index for row in rows]
+
+    def values(self, *names: str) -> Iterator[tuple[Any, ...]]:
+        """Some attributes of each row, by index, without making the rows if they are many."""
+        return values_of(self.rows, *names)
 
     @property
     def begun(self) -> int:
         """Number of runs that were started or have a result, counted from run 0."""
-        return 1 + max((*self.unfinished, *(row.index for row in self.rows)), default=-1)
+        return 1 + max((*self.unfinished, *self._indices), default=-1)
 
 
 def read_campaign(folder: Path) -> CampaignContent:
@@ -68,7 +80,7 @@ def read_campaign(folder: Path) -> CampaignContent:
         UsageError: there is none, or it is damaged.
     """
     path = folder / RECORD_NAME
-    return campaign_content(path, read_record(path, MAKERS))
+    return campaign_content(path, read_record(path, AS_TEXT))
 
 
 def campaign_content(path: Path, entries: Entries) -> CampaignContent:
@@ -76,7 +88,7 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
 
     Args:
         path: path of the record, for messages.
-        entries: the entries, with rows by :data:`MAKERS`.
+        entries: the entries, with :data:`AS_TEXT`.
 
     Raises:
         UsageError: an entry is not one of this version.
@@ -88,15 +100,13 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
             (key, CATALOGUES[key].find(document).reference)
             for key, document in entries.get(DOCUMENT, {}).values()
         )
-        rows = dict(entries.get(ROW, {}))
         added = entries.get(REQUIREMENT, {})
-        for name, values in added.items():
-            for key, ends in values['intervals'].items():
-                if key in rows:  # else it was lost, and is made again
-                    rows[key] = rows[key].also_judged(name, RobustnessInterval(*ends))
+        rows = RecordedRows(path, entries.get(ROW, {}), {
+            name: values['intervals'] for name, values in added.items()
+        })
         return CampaignContent(
-            facts=next(iter(facts.values()), {}), rows=tuple(rows.values()),
-            attempts={int(key): attempts for key, attempts in entries.get(BEGUN, {}).items()},
+            facts=next(iter(facts.values()), {}), rows=tuple(rows) if len(rows) <= FEW else rows,
+            attempts={int(key): int(attempts) for key, attempts in entries.get(BEGUN, {}).items()},
             added={name: values['formula'] for name, values in added.items()},
             finished=END in entries, documents=documents,
         )

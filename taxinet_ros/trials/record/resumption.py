@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -125,9 +126,9 @@ def unknown_to_sampler(content: CampaignContent, lag: int) -> frozenset[int]:
         content: content of the record.
         lag: a run is chosen with the results up to so many runs before it.
     """
-    rows = content.rows
-    last = max((row.index for row in rows if row.outcome.judged), default=-1)
-    broken = (row.index for row in rows if row.outcome is Outcome.INFRA_ERROR)
+    results = _results(content)
+    last = max((one.index for one in results if one.outcome.judged), default=-1)
+    broken = (one.index for one in results if one.outcome is Outcome.INFRA_ERROR)
     return frozenset([
         *content.facts.get(UNKNOWN_TO_SAMPLER, []),
         *(index for index in broken if index + lag <= last),
@@ -135,8 +136,8 @@ def unknown_to_sampler(content: CampaignContent, lag: int) -> frozenset[int]:
 
 
 def runs_to_repeat(
-    rows: Sequence[RunRow], unknown: Collection[int], lag: int
-) -> dict[int, RunRow]:
+    content: CampaignContent, unknown: Collection[int], lag: int
+) -> Mapping[int, RunRow]:
     """The rows, by index, of a search's runs that must be repeated.
 
     They had an infrastructure error or were interrupted. This includes rejected scenes, which may
@@ -144,20 +145,34 @@ def runs_to_repeat(
     result if nothing has changed.
 
     Args:
-        rows: the rows of its record.
+        content: content of its record.
         unknown: result of :func:`unknown_to_sampler`.
         lag: as there.
     """
+    results = _results(content)
     broken = (
-        row.index for row in rows
-        if row.index not in unknown and (row.retries or row.outcome is Outcome.INFRA_ERROR)
+        one.index for one in results
+        if one.index not in unknown and (one.retries or one.outcome is Outcome.INFRA_ERROR)
     )
-    sure = lag + min(broken, default=len(rows))
-    return {
-        row.index: row for row in rows
-        if row.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
-        or (row.outcome is Outcome.REJECTED and row.index >= sure)
-    }
+    sure = lag + min(broken, default=len(results))
+    return content.only({
+        one.index for one in results
+        if one.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
+        or (one.outcome is Outcome.REJECTED and one.index >= sure)
+    })
+
+
+@dataclass(frozen=True, slots=True)
+class _Result:
+    """What must be known of each run to see which ones are repeated."""
+
+    index: int
+    outcome: Outcome
+    retries: int
+
+
+def _results(content: CampaignContent) -> list[_Result]:
+    return [_Result(*values) for values in content.values('index', 'outcome', 'retries')]
 
 
 def check_same_campaign(

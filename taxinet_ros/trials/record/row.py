@@ -16,6 +16,7 @@ from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
+from taxinet_ros.trials.record.columns import LONGER
 
 SIMPLY_DRAWN = ('', 'random')
 """Samplers whose runs are all independent draws from the program; '' means no sampler."""
@@ -172,7 +173,7 @@ class RunRow:
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f'{ON_DISK.get(column.name, column.name)} is {value}')
+                raise ValueError(f'{LONGER.get(column.name, column.name)} is {value}')
         try:
             parse_timing(self.timing)
         except UsageError as error:
@@ -303,7 +304,7 @@ class RunRow:
         """Plain values for the record, without defaults; the inverse of :meth:`from_json`."""
         return {
             name: value for name in _NAMES
-            if (value := getattr(self, name)) != _DEFAULTS.get(name, _NOTHING)
+            if (value := getattr(self, name)) != DEFAULTS.get(name, _NOTHING)
         }
 
     @classmethod
@@ -324,15 +325,16 @@ class RunRow:
 
 _NOTHING = object()
 _NAMES = tuple(column.name for column in dataclasses.fields(RunRow))
-_DEFAULTS: dict[str, Any] = {
+DEFAULTS: dict[str, Any] = {
     column.name: {} if column.default is dataclasses.MISSING else column.default
     for column in dataclasses.fields(RunRow)
     if column.default is not dataclasses.MISSING
     or column.default_factory is not dataclasses.MISSING
 }
+"""What a row has of each attribute that its entry leaves out."""
 
-ON_DISK = {'fingerprint': 'perception_fingerprint'}
-"""Columns of tables that have a longer name than a row's attribute."""
+NEEDED = tuple(name for name in _NAMES if name not in DEFAULTS)
+"""Attributes that every entry has."""
 
 
 def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:

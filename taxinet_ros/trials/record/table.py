@@ -1,65 +1,43 @@
-"""Table of a campaign as CSV and Parquet, made from its rows.
-
-Every column has the same type in every table, even if all its values are missing, so tables of
-several campaigns can be concatenated.
-"""
+"""Table of a campaign as CSV and Parquet, with the columns of :mod:`.columns`."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import filterfalse, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.layout import is_bag_name, is_run_name
+from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.sealed_table import is_sealed_table, write_table
+from taxinet_ros.trials.record.columns import (
+    ATTRIBUTES,
+    FREE,
+    PLAIN_COLUMNS,
+    POINT,
+    RHO,
+    column_types,
+    rho_column,
+    specs_of,
+)
 from taxinet_ros.trials.record.content import CampaignContent, read_campaign
 from taxinet_ros.trials.record.facts import STACKS, is_campaign, recorded_stacks
-from taxinet_ros.trials.record.row import ON_DISK, RunRow
+from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.rows import RecordedRows, with_defaults
 
 if TYPE_CHECKING:  # slow import that should not delay a run
     import pandas as pd
+    import pyarrow as pa
 
 CSV_NAME = 'runs.csv'
 PARQUET_NAME = 'runs.parquet'
 
-WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
-"""The last columns; all others are equal if the campaign is repeated."""
-
 _FORMULA_STARTS = ('=', '+', '-', '@', '\t', '\r')
-
-_POINT = 'u_'
-_FREE = 'free_'
-_RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
-
-_BEFORE_POINT = {
-    'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
-    'sampler': 'string', 'refused': 'Int64', 'weight': 'float64', 'drawn': 'boolean',
-}
-_BEFORE_RHO = {
-    'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
-    **{field.key: field.column_type for field in SCENARIO_FIELDS},
-    'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
-}
-_AFTER_RHO = {
-    'stopped_early': 'boolean', 'stopped_s': 'float64',
-    'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'settle_time_s': 'float64',
-    'cte_error_mean_m': 'float64', 'cte_error_mean_abs_m': 'float64',
-    'cte_error_max_abs_m': 'float64', 'he_error_mean_deg': 'float64',
-    'he_error_mean_abs_deg': 'float64', 'he_error_max_abs_deg': 'float64',
-    'unusable_estimates': 'Int64', 'steps': 'int64', 'sim_s': 'float64',
-    'retries': 'int64', 'bag': 'string', 'stack': 'string', 'wall_s': 'float64',
-    'real_time_factor': 'float64',
-}
-
-_ATTRIBUTES = {column: name for name, column in ON_DISK.items()}
-"""Names of row attributes that are shorter than their column."""
 
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
@@ -77,25 +55,68 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
     """
     import pandas as pd
 
-    ordered = sorted(rows, key=lambda row: row.index)
-    judged_by = (name for row in ordered for name in row.robustness)
-    names = list(dict.fromkeys([*specs, *judged_by]))
-    dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
-    figures = list(dict.fromkeys(name for row in ordered for name in row.free))
-    kinds = _kinds(names, dimensions, figures)
-    columns: dict[str, pd.Series[Any]] = {
-        name: pd.Series(values, dtype=kind)
-        for (name, kind), values in zip(
-            kinds.items(), _columns(ordered, names, dimensions, figures), strict=True
-        )
+    columns = rows.columns if isinstance(rows, RecordedRows) else None
+    found = _values_of_rows(rows) if columns is None else columns
+    known = list(found if isinstance(found, dict) else found.column_names)
+    names = list(dict.fromkeys([*specs, *specs_with_interval(known)]))
+    kinds = column_types(names, *(
+        [name.removeprefix(start) for name in known if name.startswith(start)]
+        for start in (POINT, FREE)
+    ))
+    frame = {
+        name: _series(found, name, kind) for name, kind in kinds.items() if name in known
     }
-    return pd.DataFrame(columns)
+    for name in names:
+        lower, upper = (frame.get(column(name)) for column in (lower_column, upper_column))
+        if lower is not None and upper is not None:
+            frame[rho_column(name)] = lower.where(lower == upper)
+    if names and rho_column(names[0]) in frame:
+        frame[RHO] = frame[rho_column(names[0])].copy()
+    nothing = [None] * len(frame['index'])
+    return pd.DataFrame({
+        name: frame[name] if name in frame else pd.Series(nothing, dtype=kind)
+        for name, kind in kinds.items()
+    })
+
+
+def _values_of_rows(rows: Iterable[RunRow]) -> dict[str, list[Any]]:
+    """Values by column, without those that :func:`table` computes from others."""
+    ordered = sorted(rows, key=lambda row: row.index)
+    found = {
+        column: [getattr(row, ATTRIBUTES.get(column, column)) for row in ordered]
+        for column in PLAIN_COLUMNS
+    }
+    found['outcome'] = [outcome.value for outcome in found['outcome']]
+    for start, mappings in (
+        (POINT, [row.point for row in ordered]), (FREE, [row.free for row in ordered])
+    ):
+        for name in dict.fromkeys(name for mapping in mappings for name in mapping):
+            found[start + name] = [mapping.get(name) for mapping in mappings]
+    for name in dict.fromkeys(name for row in ordered for name in row.robustness):
+        intervals = [row.robustness.get(name) for row in ordered]
+        found[lower_column(name)] = [each and each.lower for each in intervals]
+        found[upper_column(name)] = [each and each.upper for each in intervals]
+    return found
+
+
+def _series(found: dict[str, list[Any]] | pa.Table, name: str, kind: str) -> pd.Series[Any]:
+    import pandas as pd
+
+    if isinstance(found, dict):
+        return pd.Series(found[name], dtype=kind)
+    values, dtype = with_defaults(found, name), pd.api.types.pandas_dtype(kind)
+    from_arrow = getattr(dtype, '__from_arrow__', None)  # of nullable types
+    return pd.Series(from_arrow(values) if from_arrow else values.to_numpy())
 
 
 def campaign_table(content: CampaignContent) -> pd.DataFrame:
     """Table of a campaign, with its records of machines, libraries and code in ``attrs``."""
-    frame = table(content.rows, tuple(content.facts.get('specs', {})))
-    frame.attrs[STACKS] = recorded_stacks(content.facts)
+    return _campaign_table(content.rows, content.facts)
+
+
+def _campaign_table(rows: Iterable[RunRow], facts: Mapping[str, Any]) -> pd.DataFrame:
+    frame = table(rows, tuple(facts.get('specs', {})))
+    frame.attrs[STACKS] = recorded_stacks(facts)
     return frame
 
 
@@ -110,7 +131,7 @@ def write_tables(rows: Iterable[RunRow], folder: Path, facts: Mapping[str, Any])
         folder: existing folder of the campaign.
         facts: its facts.
     """
-    frame = campaign_table(CampaignContent(facts=facts, rows=tuple(rows)))
+    frame = _campaign_table(rows, facts)
     write_atomically(folder / CSV_NAME, csv_text(frame))
     write_table(folder / PARQUET_NAME, frame)
 
@@ -168,9 +189,9 @@ def _frame_of(path: Path, data: bytes) -> pd.DataFrame:
     names = [str(name) for name in frame.columns]
     if len(set(names)) < len(names):
         raise UsageError(f'{path}: damaged (a column occurs twice)')
-    dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
-    figures = [name.removeprefix(_FREE) for name in names if name.startswith(_FREE)]
-    kinds = _kinds(_specs_of(frame), dimensions, figures)
+    dimensions = [name.removeprefix(POINT) for name in names if name.startswith(POINT)]
+    figures = [name.removeprefix(FREE) for name in names if name.startswith(FREE)]
+    kinds = column_types(specs_of(frame.columns), dimensions, figures)
     # Older tables may lack newer columns.
     try:
         frame = frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
@@ -197,14 +218,6 @@ def _add_what_was_so(frame: pd.DataFrame) -> None:
         frame[field.key] = frame[field.key].astype(field.column_type)  # type: ignore[call-overload]
 
 
-def _specs_of(frame: pd.DataFrame) -> list[str]:
-    # Formula names have no dot, which distinguishes them from interval ends.
-    return [
-        str(name).removeprefix(_RHO) for name in frame.columns
-        if re.fullmatch(rf'{_RHO}[^.]*', str(name))
-    ]
-
-
 def _check_rows(path: Path, frame: pd.DataFrame) -> None:
     """Check that every row is consistent, as in :meth:`.row.RunRow.check`."""
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
@@ -223,12 +236,12 @@ def _check_rows(path: Path, frame: pd.DataFrame) -> None:
         _refuse(path, frame[name].duplicated(), f'its {name} occurs twice')
     _refuse(path, frame['index'] < 0, 'its index is negative')
     for name in frame.select_dtypes('float64').columns:
-        if not str(name).startswith('rho'):
+        if not str(name).startswith(RHO):
             _refuse(path, frame[name].abs() == math.inf, f'{name} is not finite')
-    specs = _specs_of(frame)
+    specs = specs_of(frame.columns)
     if specs:
         _check_robustness(path, frame, specs)
-    if 'rho' in frame.columns:
+    if RHO in frame.columns:
         _check_headline(path, frame, specs[:1])
 
 
@@ -240,9 +253,9 @@ def _check_robustness(path: Path, frame: pd.DataFrame, specs: Sequence[str]) -> 
     passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
     above, below = passed | True, passed & False
     for name in specs:
-        exact = frame[f'{_RHO}{name}']
-        lower = frame.get(f'{_LOWER}{name}', exact).fillna(exact)
-        upper = frame.get(f'{_UPPER}{name}', exact).fillna(exact)
+        exact = frame[rho_column(name)]
+        lower = frame.get(lower_column(name), exact).fillna(exact)
+        upper = frame.get(upper_column(name), exact).fillna(exact)
         _refuse(path, ~(passed | failed) & upper.notna(), 'a robustness without a verdict')
         if name in specs[:1]:
             above &= lower > 0
@@ -254,13 +267,13 @@ def _check_robustness(path: Path, frame: pd.DataFrame, specs: Sequence[str]) -> 
 def _check_headline(path: Path, frame: pd.DataFrame, headline: Sequence[str]) -> None:
     """Check that ``rho`` repeats the headline's robustness, as far as that is in the table."""
     passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
-    rho = frame['rho']
+    rho = frame[RHO]
     _refuse(path, ~(passed | failed) & rho.notna(), 'a robustness without a verdict')
     _refuse(path, passed & (rho <= 0), 'PASS, but rho is not above 0')
     for name in headline:
-        other = frame.get(f'{_RHO}{name}', rho)
+        other = frame.get(rho_column(name), rho)
         same = (rho == other) | (rho.isna() & other.isna())
-        _refuse(path, ~same, f'rho is not {_RHO}{name}')
+        _refuse(path, ~same, f'{RHO} is not {rho_column(name)}')
     if not headline:
         _refuse(path, failed & (rho > 0), 'FAIL, but rho is above 0')
 
@@ -273,45 +286,6 @@ def _refuse(path: Path, wrong: Any, what: str) -> None:
 
 def _damaged(path: Path, error: Exception) -> UsageError:
     return UsageError(f'{path}: damaged ({next(iter(str(error).splitlines()), "")})')
-
-
-def _kinds(
-    specs: Sequence[str], dimensions: Iterable[str], figures: Iterable[str]
-) -> dict[str, str]:
-    return {
-        **_BEFORE_POINT, **{f'{_POINT}{name}': 'float64' for name in dimensions},
-        **_BEFORE_RHO,
-        **{f'{start}{name}': 'float64' for start in (_RHO, _LOWER, _UPPER) for name in specs},
-        **{f'{_FREE}{name}': 'float64' for name in figures}, **_AFTER_RHO,
-    }
-
-
-def _columns(
-    rows: Sequence[RunRow], specs: Sequence[str], dimensions: Sequence[str],
-    figures: Sequence[str],
-) -> Iterator[list[Any]]:
-    """Values of each column, in the order of :func:`_kinds`."""
-    def attributes(names: Iterable[str]) -> Iterator[list[Any]]:
-        for name in names:
-            values = [getattr(row, _ATTRIBUTES.get(name, name)) for row in rows]
-            yield [value.value for value in values] if name == 'outcome' else values
-
-    yield from attributes(_BEFORE_POINT)
-    yield from ([row.point.get(name) for row in rows] for name in dimensions)
-    *before, _ = _BEFORE_RHO
-    yield from attributes(before)
-    rho = {
-        name: [known.lower if (known := row.robustness.get(name)) and known.exact else None
-               for row in rows]
-        for name in specs
-    }
-    yield rho[specs[0]] if specs else [None] * len(rows)
-    yield from rho.values()
-    for end in (0, 1):
-        for name in specs:
-            yield [known[end] if (known := row.robustness.get(name)) else None for row in rows]
-    yield from ([row.free.get(name) for row in rows] for name in figures)
-    yield from attributes(_AFTER_RHO)
 
 
 def _spreadsheet_safe(word: Any) -> Any:

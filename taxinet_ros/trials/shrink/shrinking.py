@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -89,12 +89,12 @@ class Shrinking(Proposer):
             'perception_sha256': check_perception(perception, graph=True),
         })
 
-    def resume(self, content: CampaignContent) -> tuple[Iterable[RunRow], Mapping[str, Any]]:
+    def resume(self, content: CampaignContent) -> tuple[Mapping[int, RunRow], Mapping[str, Any]]:
         """See :class:`.Proposer`."""
         self._next = content.begun
-        done = [row for row in content.rows if row.outcome.judged]
-        self._numbers = {_key(row.scene): row.index for row in done}
-        self._undone = sorted(set(range(self._next)) - {row.index for row in done})
+        done = {row.index: row for row in content.rows if row.outcome.judged}
+        self._numbers = {_key(row.scene): row.index for row in done.values()}
+        self._undone = sorted(set(range(self._next)) - done.keys())
         self._broken_before = {
             _key(row.scene): row.retries + (row.outcome is Outcome.INFRA_ERROR)
             for row in content.rows if not row.outcome.judged

@@ -10,7 +10,8 @@ import pytest
 from taxinet_process import taxinet
 
 import taxinet_ros as tx
-from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
+from taxinet_ros.trials.record.table import read_table
 
 SEARCH = (
     'nominal', '--runs', '6', '--perception', 'truth', '--set', 'duration=1', '--seed', '4',

@@ -20,8 +20,9 @@ from waiting import wait_for
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.trials.learned_result import LearnedResult
+from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
-from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.table import read_table
 
 WORDS = [
     'falsify', 'nominal', '--runs', '10', '--perception', 'truth', '--set', 'duration=2',

@@ -27,13 +27,9 @@ from taxinet_ros.trials.past_runs.recorded_campaign import (
     open_failed_campaign,
     scenario_of_row,
 )
+from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
-from taxinet_ros.trials.record.table import (
-    CSV_NAME,
-    PARQUET_NAME,
-    WALL_CLOCK_COLUMNS,
-    read_table,
-)
+from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME, read_table
 
 RUNS = 4
 SEARCH = ('falsify', 'nominal', '--sampler', 'random', '--seed', '3', '--images', 'none',

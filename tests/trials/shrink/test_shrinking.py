@@ -26,9 +26,10 @@ from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.scenes.source import sample_scenarios
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.past_runs.judged_run import find_run
+from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.shrink.algorithm import End
 from taxinet_ros.trials.shrink.report import (
     Report,
