@@ -128,6 +128,13 @@ class Localisation:
         return tuple(case for case in self.cases if case.blame is Blame.NOT_REPRODUCED)
 
     @property
+    def unjudged(self) -> tuple[Trial, ...]:
+        """Trials that could not be judged."""
+        return tuple(
+            trial for case in self.cases for trial in case.trials.values() if not trial.judged
+        )
+
+    @property
     def rounded(self) -> int:
         """Counted cases whose scene is known only from the record."""
         return sum(not case.trials[AS_RECORDED].exact for case in self.counted)
@@ -215,7 +222,7 @@ def _passed(trials: Mapping[str, Trial], word: str) -> bool | None:
 
 def _blame(row: RunRow, trials: Mapping[str, Trial]) -> Blame:
     control = trials.get(AS_RECORDED)
-    if control is None:
+    if control is None or not control.judged:
         return Blame.UNKNOWN
     if not reproduced(row, control):
         return Blame.NOT_REPRODUCED
@@ -321,6 +328,7 @@ def localisation_json(found: Localisation) -> dict[str, Any]:
         'judged': found.runs, 'looked_into': len(found.cases), 'counted': len(found.counted),
         'scenes_from_record': found.rounded, 'made_on': dict(provenance()),
         'not_reproduced': [case.row.run_id for case in found.not_reproduced],
+        'unjudged': {f'{one.run_id} {one.word}': one.detail for one in found.unjudged},
         'blame': {blame.value: found.blames.get(blame, 0) for blame in Blame},
         'suffices': {
             kind.value or 'unknown': found.sufficing.get(kind, 0) for kind in Suffices
@@ -413,6 +421,13 @@ def _reservations(found: Localisation) -> Iterator[str]:
             f'{len(others)} of {count} were not reproduced ({names}{more}) and '
             f'{"is" if len(others) == 1 else "are"} not counted: probably recorded by another '
             'version or machine.'
+        )
+    if broken := found.unjudged:
+        named = '; '.join(f'{one.run_id} {one.word} ({one.detail})' for one in broken[:3])
+        more = '; …' if len(broken) > 3 else ''
+        yield (
+            f'{len(broken)} trials could not be judged and count as unknown: {named}{more}. The '
+            'same command makes them again.'
         )
     if found.rounded:
         yield (

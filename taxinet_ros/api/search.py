@@ -38,7 +38,6 @@ from taxinet_ros.samplers.splitting import RareEstimate
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.connection import Cluster
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
-from taxinet_ros.trials.loop_run import campaign_loop
 from taxinet_ros.trials.loop_worker import loop_worker_command
 from taxinet_ros.trials.options import DEFAULT_SPECS, LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
@@ -215,9 +214,10 @@ def _opened(search: Search) -> Iterator[Cluster | None]:
 def _execute(search: Search, led: Cluster | None) -> None:
     """Execute the runs of an open search on its workers."""
     options, facts = search.options, search.book.facts
-    system = recorded_system(options.campaign, facts)
-    command = loop_worker_command(campaign_loop(options.campaign, system))
-    out = options.campaign.out
+    campaign, out = options.campaign, options.campaign.out
+    command = loop_worker_command(
+        recorded_system(campaign, facts), campaign.bag_folder, campaign.images
+    )
     pool = WorkerPool(command, options.workers, out / 'logs') if led is None else ClusterPool(
         led, command, out, fingerprint=facts['perception_sha256'],
         on_machine=search.book.add_machine,

@@ -1,4 +1,4 @@
-"""Worker process of a campaign without ROS: runs closed loops one by one.
+"""Worker process without ROS: runs closed loops one by one.
 
 Started by :class:`taxinet_ros.trials.worker_pool.WorkerProcess`, which defines the pipe protocol.
 """
@@ -17,31 +17,35 @@ from typing import Any
 import cv2
 from threadpoolctl import threadpool_limits
 
-from taxinet_ros.core.system import system_values
+from taxinet_ros.core.system import System, system_values
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import module_command
 from taxinet_ros.trials.audit import Auditor
-from taxinet_ros.trials.loop_run import Loop, LoopOptions
+from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.worker_pool import encode_line, request_from_json, result_to_json
 
 _BEAT_S = 1.0
 
 
 def loop_worker_command(
-    options: LoopOptions, audit_percent: float = 0.0, audit_command: Sequence[str] = ()
+    system: System | None = None, out: Path | None = None, images: str = 'none', *,
+    audit_percent: float = 0.0, audit_command: Sequence[str] = (),
 ) -> list[str]:
     """Command line of a worker.
 
     Args:
-        options: options of its loop.
+        system: as of :class:`.Loop`.
+        out: likewise.
+        images: likewise.
         audit_percent: share of the runs to audit [%].
         audit_command: command of the graph's worker for audits, see :class:`.Auditor`.
     """
-    values = {**options.to_json(), 'out': None if options.out is None else str(options.out)}
-    return module_command(
-        'taxinet_ros.trials.loop_worker', f'--options={json.dumps(values)}',
-        f'--audit-percent={audit_percent}', f'--audit-command={json.dumps(list(audit_command))}',
-    )
+    values = {
+        'system': None if system is None else system.to_json(),
+        'out': None if out is None else str(out), 'images': images,
+        'audit_percent': audit_percent, 'audit_command': list(audit_command),
+    }
+    return module_command('taxinet_ros.trials.loop_worker', f'--options={json.dumps(values)}')
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -63,8 +67,9 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _work(arguments: argparse.Namespace) -> None:
     values = json.loads(arguments.options)
+    system = None if values['system'] is None else System(**system_values(values['system']))
     out = None if values['out'] is None else Path(values['out'])
-    loop = Loop(LoopOptions(**{**system_values(values), 'out': out}))
+    loop = Loop(system, out, values['images'])
     told_s = time.monotonic()
 
     def say(**message: Any) -> None:
@@ -77,9 +82,8 @@ def _work(arguments: argparse.Namespace) -> None:
             told_s = time.monotonic()
             say(seq=seq)
 
-    percent = arguments.audit_percent if out is not None else 0.0
-    command = json.loads(arguments.audit_command)
-    with Auditor(lambda: command, out or Path(), percent) as auditor:
+    percent = values['audit_percent'] if out is not None else 0.0
+    with Auditor(lambda: values['audit_command'], out or Path(), percent) as auditor:
         for line in sys.stdin.buffer:
             message = json.loads(line)
             if 'run' not in message:
@@ -93,8 +97,6 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     parser.add_argument('--answers', type=int, required=True)
     parser.add_argument('--options', required=True)
-    parser.add_argument('--audit-percent', type=float, required=True)
-    parser.add_argument('--audit-command', required=True)
     return parser.parse_args(words)
 
 

@@ -33,7 +33,6 @@ _BEAT_S = 1.0
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
     """Command line of a worker for the runs of a campaign, by its engine."""
     from taxinet_ros.nodes.graph.runner import campaign_graph
-    from taxinet_ros.trials.loop_run import campaign_loop
     from taxinet_ros.trials.loop_worker import loop_worker_command
     from taxinet_ros.trials.options import GRAPH
     from taxinet_ros.trials.record.facts import recorded_system
@@ -42,7 +41,8 @@ def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any])
     if campaign.engine == GRAPH:
         return worker_command(campaign_graph(campaign, system))
     return loop_worker_command(
-        campaign_loop(campaign, system), campaign.audit_percent, audit_command(campaign, system)
+        system, campaign.bag_folder, campaign.images, audit_percent=campaign.audit_percent,
+        audit_command=audit_command(campaign, system),
     )
 
 
