@@ -180,21 +180,6 @@ def judge_case(row: RunRow, trials: Mapping[str, Trial]) -> Case:
 
 
 def localisation(
-    rows: Sequence[RunRow], trials: Trials, *, words: Sequence[str], spec: str, specs: int,
-    perception: str, failed: int, runs: int, chosen_by: str,
-) -> Localisation:
-    """Combine the trials of counterexamples; see :class:`Localisation`."""
-    cases = (
-        judge_case(row, {w: trials[row.run_id, w] for w in words if (row.run_id, w) in trials})
-        for row in rows
-    )
-    return Localisation(
-        spec=spec, specs=specs, perception=perception, failed=failed, runs=runs,
-        chosen_by=chosen_by, words=tuple(words), cases=tuple(cases),
-    )
-
-
-def localisation_of(
     campaign: RecordedCampaign, rows: Sequence[RunRow], trials: Trials, *, words: Sequence[str],
     perception: str,
 ) -> Localisation:
@@ -207,11 +192,14 @@ def localisation_of(
         words: requested substitutions, the control first.
         perception: word or file of the network; of a file its name is shown.
     """
-    return localisation(
-        rows, trials, words=words, spec=campaign.judging.headline,
-        specs=len(campaign.judging.specs), perception=Path(perception).name,
-        failed=len(campaign.counterexamples), runs=len(campaign.judged),
-        chosen_by=campaign.sampler,
+    return Localisation(
+        spec=campaign.judging.headline, specs=len(campaign.judging.specs),
+        perception=Path(perception).name, failed=len(campaign.counterexamples),
+        runs=len(campaign.judged), chosen_by=campaign.sampler, words=tuple(words),
+        cases=tuple(
+            judge_case(row, {w: trials[row.run_id, w] for w in words if (row.run_id, w) in trials})
+            for row in rows
+        ),
     )
 
 

@@ -11,8 +11,8 @@ from rich.console import Console
 from taxinet_ros.analysis.fault_localisation import (
     JSON_NAME,
     Localisation,
+    localisation,
     localisation_json,
-    localisation_of,
     localisation_report,
     localisation_sentences,
     worst_cases,
@@ -53,7 +53,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
             options, lambda done: show('trials', done, options.wanted), lambda: bool(asked)
         )
     campaign = options.campaign
-    found = localisation_of(
+    found = localisation(
         campaign, options.rows, trials, words=options.words, perception=options.perception
     )
     unfinished = len(trials) < options.wanted

@@ -16,7 +16,7 @@ from taxinet_ros.analysis.fault_localisation import (
     Blame,
     Suffices,
     judge_case,
-    localisation_of,
+    localisation,
     localisation_sentences,
 )
 from taxinet_ros.core.perception.perception import check_perception
@@ -239,7 +239,7 @@ def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alo
     assert len(done) == 9
     assert {name for name, trial in done.items() if not trial.judged} == lost
     assert {done[name].detail for name in lost} == {why}
-    found = localisation_of(
+    found = localisation(
         asked.campaign, rows, done, words=asked.words, perception=asked.perception)
     assert [case.blame for case in found.cases] == [
         Blame.CONTROLLER, Blame.UNKNOWN, Blame.CONTROLLER]
