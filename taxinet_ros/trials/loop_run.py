@@ -80,7 +80,7 @@ class Loop:
     """Executes requested runs one by one.
 
     Attributes:
-        interrupted: set to end the current run at its next control step; see :meth:`run`.
+        interrupted: whether :meth:`interrupt` was called.
     """
 
     def __init__(
@@ -108,8 +108,8 @@ class Loop:
             on_step: called with the number of every control step.
 
         Returns:
-            The same result as from a graph, except for the time that it took; INTERRUPTED if it
-            was :attr:`interrupted`.
+            The same result as from a graph, except for the time that it took; INTERRUPTED after
+            :meth:`interrupt`.
 
         Raises:
             UsageError: a part of a task's system cannot be used.
@@ -127,6 +127,10 @@ class Loop:
             result, perception=parts.perception.word, fingerprint=parts.perception.fingerprint,
             wall_s=time.monotonic() - begun_s,
         )
+
+    def interrupt(self) -> None:
+        """End the current run at its next control step; safe to call from another thread."""
+        self.interrupted = True
 
     def _parts_of(self, request: RunRequest) -> tuple[_Parts, Perception]:
         """The parts that drive, and the perception or what a task has in its place."""

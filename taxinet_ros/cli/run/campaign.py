@@ -328,7 +328,7 @@ class _LoopGraph:
                 return
 
     def interrupt(self) -> None:
-        self._loop.interrupted = True
+        self._loop.interrupt()
 
 
 class _Interruption:
