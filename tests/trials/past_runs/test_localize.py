@@ -25,7 +25,7 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record, read_record
 from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.past_runs import trials as kept
@@ -222,12 +222,13 @@ class Eyes:
 
 
 @pytest.mark.parametrize(('how', 'why'), [
-    ('dies', 'worker: exit code 7'), ('hangs', 'worker: silent for 6 s'),
+    ('dies', 'worker: exit code 7'),
+    pytest.param('hangs', 'worker: silent for 20 s', marks=pytest.mark.nightly),
 ])
 def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alone_are_lost(
     how, why, tmp_path, monkeypatch,
 ):
-    monkeypatch.setattr(kept, 'SILENCE_S', 6.0)
+    monkeypatch.setattr(kept, 'SILENCE_S', 20.0)
     (tmp_path / 'eyes.py').write_text(EYES)
     # Only the second scene has as many frames.
     scenes = [OFF[0], dataclasses.replace(OFF[1], duration_s=13.0), OFF[2]]
@@ -253,6 +254,19 @@ def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alo
     assert {name: whole[name] for name in done if name not in lost} == {
         name: done[name] for name in done if name not in lost}
     assert all(trial.judged for trial in whole.values())
+
+
+def test_given_workers_that_end_one_after_the_other_then_the_command_does_too(
+    off, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(kept, '_PATIENCE', 2)
+    (tmp_path / 'eyes.py').write_text('import os\ndef eyes(frame):\n    os._exit(7)\n')
+    asked = dataclasses.replace(
+        options(off, tmp_path / 'out', words=['truth-cte']),
+        perception=f'{tmp_path}/eyes.py:eyes')
+    with pytest.raises(InfraError, match='2 workers in a row.* exit code 7'):
+        localize(asked, ignore, never)
+    assert len(read_record(tmp_path / 'out' / RECORD_NAME)['trial']) == 2
 
 
 @pytest.mark.parametrize(('campaign', 'changes', 'words'), [
