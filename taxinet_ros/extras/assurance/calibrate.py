@@ -328,12 +328,6 @@ def _each(
 ) -> Iterator[_R]:
     """Results in the order of the items, whatever the number of processes."""
     perception, workers = work
-    if workers == 1:
-        _start_worker(perception)
-        for done, item in enumerate(items, 1):
-            yield function(item)
-            progress(stage, done, len(items))
-        return
     with process_pool(workers, 'calibration worker', _start_worker, perception) as pool:
         for done, result in enumerate(pool.map(function, items, chunksize=4), 1):
             yield result

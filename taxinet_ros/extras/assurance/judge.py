@@ -552,38 +552,42 @@ def _drive(
     driven: list[Driven] = []
     broken: list[str] = []
     for number in numbers:
+        without = found[key(number, WITHOUT)]
         runs = {
-            fallback: found.get(key(number, fallback), found[key(number, WITHOUT)])
+            fallback: found.get(key(number, fallback), without)
             for fallback in (WITHOUT, *options.fallbacks)
         }
-        troubles = [
-            f'scene {number}, {fallback}: {one.detail}' for fallback, one in runs.items()
-            if not one.judged
-        ]
-        if troubles:
-            broken.append(troubles[0])
-            continue
-        seen = {name: _known(value) for name, value in runs[WITHOUT].seen.items()}
-        driven.append((
-            tuple(_trial(number, fallback, one, seen) for fallback, one in runs.items()),
-            np.array([_known(time_s) for time_s in seen['alarms_s']]),
-        ))
+        if all(one.judged for one in runs.values()):
+            driven.append(_driven(number, runs))
+        else:
+            broken.append(next(
+                f'scene {number}, {name}: {one.detail}' for name, one in runs.items()
+                if not one.judged
+            ))
     return driven, tuple(broken)
+
+
+def _driven(number: int, runs: Mapping[str, kept.Trial]) -> Driven:
+    """The rows of a scene. Until the alarm its runs are one, so that is the same in all."""
+    seen = {
+        fallback: {name: _known(value) for name, value in one.seen.items()}
+        for fallback, one in runs.items()
+    }
+    alarm = {name: seen[WITHOUT][name] for name in ('alarm_s', 'reason')}
+    trials = tuple(
+        Trial(
+            scene=number, fallback=fallback, satisfied=bool(one.passed),
+            rho_m=one.robustness.lower if one.robustness else math.nan,
+            left_runway=bool(one.left_runway), **alarm, **{
+                name: seen[fallback][name] for name in ('duration_s', 'due_s', 'reached', 'off_s')
+            },
+        ) for fallback, one in runs.items()
+    )
+    return trials, np.array([_known(time_s) for time_s in seen[WITHOUT]['alarms_s']])
 
 
 def _known(value: Any) -> Any:
     return math.nan if value is None else value
-
-
-def _trial(number: int, fallback: str, one: kept.Trial, without: Mapping[str, Any]) -> Trial:
-    """The row of a run. Its alarm is that of the run without a fallback: until it, they are one."""
-    assert one.robustness is not None
-    own = {name: _known(one.seen[name]) for name in ('duration_s', 'due_s', 'reached', 'off_s')}
-    return Trial(
-        scene=number, fallback=fallback, satisfied=bool(one.passed), rho_m=one.robustness.lower,
-        left_runway=bool(one.left_runway), alarm_s=without['alarm_s'], reason=without['reason'],
-        **own,
-    )
 
 
 def trials_csv(trials: Sequence[Trial]) -> str:
