@@ -264,7 +264,7 @@ def test_given_workers_that_end_one_after_the_other_then_the_command_does_too(
     asked = dataclasses.replace(
         options(off, tmp_path / 'out', words=['truth-cte']),
         perception=f'{tmp_path}/eyes.py:eyes')
-    with pytest.raises(InfraError, match='2 workers in a row.* exit code 7'):
+    with pytest.raises(InfraError, match=r'2 workers in a row.* exit code 7'):
         localize(asked, ignore, never)
     assert len(read_record(tmp_path / 'out' / RECORD_NAME)['trial']) == 2
 
