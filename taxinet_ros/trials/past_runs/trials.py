@@ -113,7 +113,7 @@ class TrialPool(contextlib.ExitStack):
         Args:
             tasks: what to run; read only as fast as workers are free.
             take: called with each trial as it ends.
-            interrupted: whether to start no more; those in flight are completed.
+            interrupted: whether to start no more; those in flight end at their next step.
 
         Raises:
             UsageError: a system cannot be used.
