@@ -38,7 +38,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
 
     Raises:
         UsageError: bad input.
-        InfraError: a worker process died.
+        InfraError: worker processes end one after the other.
     """
     console = Console(highlight=False, stderr=as_json)
     console.print(_heading(options), soft_wrap=True, markup=False)
