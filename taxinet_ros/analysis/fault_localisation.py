@@ -128,6 +128,13 @@ class Localisation:
         return tuple(case for case in self.cases if case.blame is Blame.NOT_REPRODUCED)
 
     @property
+    def unjudged(self) -> tuple[Trial, ...]:
+        """Trials that could not be judged."""
+        return tuple(
+            trial for case in self.cases for trial in case.trials.values() if not trial.judged
+        )
+
+    @property
     def rounded(self) -> int:
         """Counted cases whose scene is known only from the record."""
         return sum(not case.trials[AS_RECORDED].exact for case in self.counted)
@@ -173,21 +180,6 @@ def judge_case(row: RunRow, trials: Mapping[str, Trial]) -> Case:
 
 
 def localisation(
-    rows: Sequence[RunRow], trials: Trials, *, words: Sequence[str], spec: str, specs: int,
-    perception: str, failed: int, runs: int, chosen_by: str,
-) -> Localisation:
-    """Combine the trials of counterexamples; see :class:`Localisation`."""
-    cases = (
-        judge_case(row, {w: trials[row.run_id, w] for w in words if (row.run_id, w) in trials})
-        for row in rows
-    )
-    return Localisation(
-        spec=spec, specs=specs, perception=perception, failed=failed, runs=runs,
-        chosen_by=chosen_by, words=tuple(words), cases=tuple(cases),
-    )
-
-
-def localisation_of(
     campaign: RecordedCampaign, rows: Sequence[RunRow], trials: Trials, *, words: Sequence[str],
     perception: str,
 ) -> Localisation:
@@ -200,11 +192,14 @@ def localisation_of(
         words: requested substitutions, the control first.
         perception: word or file of the network; of a file its name is shown.
     """
-    return localisation(
-        rows, trials, words=words, spec=campaign.judging.headline,
-        specs=len(campaign.judging.specs), perception=Path(perception).name,
-        failed=len(campaign.counterexamples), runs=len(campaign.judged),
-        chosen_by=campaign.sampler,
+    return Localisation(
+        spec=campaign.judging.headline, specs=len(campaign.judging.specs),
+        perception=Path(perception).name, failed=len(campaign.counterexamples),
+        runs=len(campaign.judged), chosen_by=campaign.sampler, words=tuple(words),
+        cases=tuple(
+            judge_case(row, {w: trials[row.run_id, w] for w in words if (row.run_id, w) in trials})
+            for row in rows
+        ),
     )
 
 
@@ -215,7 +210,7 @@ def _passed(trials: Mapping[str, Trial], word: str) -> bool | None:
 
 def _blame(row: RunRow, trials: Mapping[str, Trial]) -> Blame:
     control = trials.get(AS_RECORDED)
-    if control is None:
+    if control is None or not control.judged:
         return Blame.UNKNOWN
     if not reproduced(row, control):
         return Blame.NOT_REPRODUCED
@@ -321,6 +316,7 @@ def localisation_json(found: Localisation) -> dict[str, Any]:
         'judged': found.runs, 'looked_into': len(found.cases), 'counted': len(found.counted),
         'scenes_from_record': found.rounded, 'made_on': dict(provenance()),
         'not_reproduced': [case.row.run_id for case in found.not_reproduced],
+        'unjudged': {f'{one.run_id} {one.word}': one.detail for one in found.unjudged},
         'blame': {blame.value: found.blames.get(blame, 0) for blame in Blame},
         'suffices': {
             kind.value or 'unknown': found.sufficing.get(kind, 0) for kind in Suffices
@@ -413,6 +409,13 @@ def _reservations(found: Localisation) -> Iterator[str]:
             f'{len(others)} of {count} were not reproduced ({names}{more}) and '
             f'{"is" if len(others) == 1 else "are"} not counted: probably recorded by another '
             'version or machine.'
+        )
+    if broken := found.unjudged:
+        named = '; '.join(f'{one.run_id} {one.word} ({one.detail})' for one in broken[:3])
+        more = '; …' if len(broken) > 3 else ''
+        yield (
+            f'{len(broken)} trials could not be judged and count as unknown: {named}{more}. The '
+            'same command makes them again.'
         )
     if found.rounded:
         yield (

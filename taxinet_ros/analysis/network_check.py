@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.system import System
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.trials.past_runs.shared_scenes import Scene, scenes_of_program
-from taxinet_ros.trials.past_runs.trials import Task, Trial, TrialSystem, run_trials
+from taxinet_ros.trials.past_runs.trials import Trial, TrialPool
 from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 from taxinet_ros.trials.run_command import RunSettings
 
@@ -115,25 +116,22 @@ def check_networks(
 
     Raises:
         UsageError: there is no such network; before any is driven.
-        InfraError: a worker died.
+        InfraError: worker processes end one after the other.
     """
     prints = [check_perception(network) for network in networks]
-    for network, fingerprint in zip(networks, prints, strict=True):
-        system = TrialSystem(perception=network, judging=DEFAULT_JUDGING)
-        done: dict[str, Trial] = {}
-        for trial in run_trials(_tasks(scenes, interrupted), system, workers):
-            done[trial.run_id] = trial
-            on_trial()
-        if len(done) < len(scenes):
-            return
-        yield NetworkCheck(
-            network=network, fingerprint=fingerprint, scenes=scenes,
-            trials=tuple(done[scene.row.run_id] for scene in scenes),
-        )
+    with TrialPool(workers) as pool:
+        for network, fingerprint in zip(networks, prints, strict=True):
+            system = System(perception=network)
+            done: dict[str, Trial] = {}
 
+            def take(trial: Trial, done: dict[str, Trial] = done) -> None:
+                done[trial.run_id] = trial
+                on_trial()
 
-def _tasks(scenes: Sequence[Scene], interrupted: Callable[[], bool]) -> Iterator[Task]:
-    for scene in scenes:
-        if interrupted():
-            return
-        yield scene.task()
+            pool.run((scene.task(system, DEFAULT_JUDGING) for scene in scenes), take, interrupted)
+            if len(done) < len(scenes):
+                return
+            yield NetworkCheck(
+                network=network, fingerprint=fingerprint, scenes=scenes,
+                trials=tuple(done[scene.row.run_id] for scene in scenes),
+            )

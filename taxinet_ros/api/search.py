@@ -38,7 +38,6 @@ from taxinet_ros.samplers.splitting import RareEstimate
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.engine import Engine, run_search
-from taxinet_ros.trials.loop_run import campaign_loop
 from taxinet_ros.trials.loop_worker import loop_worker_command
 from taxinet_ros.trials.options import LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
@@ -209,7 +208,9 @@ def _opened(search: Engine[Search]) -> Iterator[ClusterPool | None]:
 def _execute(search: Engine[Search], led: ClusterPool | None) -> None:
     """Execute the runs of an open search on its workers."""
     options, facts = search.options, search.book.facts
-    command = loop_worker_command(campaign_loop(options, recorded_system(options, facts)))
+    command = loop_worker_command(
+        recorded_system(options, facts), options.bag_folder, options.images
+    )
     with (
         WorkerPool(command, options.workers, options.out / 'logs') if led is None else
         led.making(command, facts, search.book.add_machine)

@@ -1,4 +1,4 @@
-"""Pool of worker processes for functions; ends with its parent or on an interrupt.
+"""Pool of worker processes for functions that make no runs; ends with its parent.
 
 Workers are spawned, because the threads of torch and onnxruntime do not survive a fork.
 """
@@ -6,21 +6,18 @@ Workers are spawned, because the threads of torch and onnxruntime do not survive
 from __future__ import annotations
 
 import contextlib
-import itertools
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor
-from concurrent.futures import wait as wait_for
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
 from typing import Any, ParamSpec, TypeVar
 
 from taxinet_ros.errors import InfraError, InfraKind
 
-_A = TypeVar('_A')
 _T = TypeVar('_T')
 _P = ParamSpec('_P')
 
@@ -40,25 +37,6 @@ class ProcessPool(ProcessPoolExecutor):
             return super().submit(fn, *args, **kwargs)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-    def run_all(
-        self, work: Callable[[_A], _T], tasks: Iterable[_A], workers: int
-    ) -> Iterator[_T]:
-        """Call a function for each task; yield the results as they finish.
-
-        ``tasks`` is read only as fast as the workers run, so it may end on an interrupt; those in
-        flight are still completed.
-        """
-        waiting = iter(tasks)
-        under_way: set[Future[_T]] = set()
-        while True:
-            # One more than the workers, so that none is idle.
-            for task in itertools.islice(waiting, workers + 1 - len(under_way)):
-                under_way.add(self.submit(work, task))
-            if not under_way:
-                return
-            done, under_way = wait_for(under_way, return_when=FIRST_COMPLETED)
-            yield from (future.result() for future in done)
 
 
 @contextlib.contextmanager

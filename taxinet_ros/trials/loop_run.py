@@ -1,4 +1,4 @@
-"""Runs of a campaign in this process, without ROS: rows and bags equal the graph's to the byte.
+"""Runs in this process, without ROS: rows and bags equal the graph's to the byte.
 
 The closed loop is that of :mod:`taxinet_ros.core.loop`; its messages are written as the recorder
 node writes them. A run that breaks names the node that would have failed in the graph.
@@ -6,11 +6,13 @@ node writes them. A run that breaks names the node that would have failed in the
 
 from __future__ import annotations
 
+import importlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.system import System
 from taxinet_ros.core.types import TaxiCommand, TrackingError
@@ -32,54 +35,70 @@ from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, RunResult, outcome_of
 from taxinet_ros.core.world import ChosenWorld, World, close_world, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import program_attachment
+from taxinet_ros.trials.worker_pool import Task
 
 OnStep = Callable[[int], None]
 
 
+class Observer(Protocol):
+    """Looks on at a run, step by step, and gives plain values of what it saw."""
+
+    def take(self, step: Step) -> None:
+        """Look at a step."""
+
+    def values(self) -> Mapping[str, Any]:
+        """Plain values, after the last step."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class LoopOptions(System):
-    """A system that runs in a loop, and where its bags go.
+class _Parts:
+    """A system with its parts loaded."""
 
-    Attributes:
-        out: folder of the campaign, which exists; None: no bags.
-        images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
-    """
-
-    out: Path | None
-    images: str
+    system: System
+    perception: Perception
+    controller: Controller
+    world: ChosenWorld
 
 
-def campaign_loop(campaign: CampaignOptions, system: System) -> LoopOptions:
-    """Options of the loops of a campaign, with its recorded system."""
-    return LoopOptions(
-        **vars(system), out=campaign.out if campaign.bags else None, images=campaign.images
-    )
+def _load(system: System, before: _Parts | None) -> _Parts:
+    """Load the parts of a system; a network is kept from the one before."""
+    if before is not None and before.system.perception == system.perception:
+        perception = before.perception
+    else:
+        perception = make_perception(system.perception)
+    controller = make_controller(system.controller, SteeringGains(**system.gains))
+    if system.controller_sha256 not in ('', controller.fingerprint):
+        raise UsageError(
+            f'controller {system.controller} has changed since this began; put it back'
+        )
+    world = find_world(system.world, system.world_sha256)
+    return _Parts(system=system, perception=perception, controller=controller, world=world)
 
 
 class Loop:
     """Executes requested runs one by one.
 
     Attributes:
-        interrupted: set to end the current run at its next control step; see :meth:`run`.
+        interrupted: whether :meth:`interrupt` was called.
     """
 
-    def __init__(self, options: LoopOptions) -> None:
-        """Load perception, controller and world.
+    def __init__(
+        self, system: System | None = None, out: Path | None = None, images: str = 'none'
+    ) -> None:
+        """Load the parts of a system.
+
+        Args:
+            system: what drives, unless a :class:`.Task` names another system; None: each does.
+            out: folder of the campaign, which exists, for the bags; None: no bags.
+            images: runs whose camera frames are recorded: ``all``, ``failures`` or ``none``.
 
         Raises:
-            UsageError: one of them cannot be used, or has changed since the campaign began.
+            UsageError: a part cannot be used, or has changed since the campaign began.
         """
         self.interrupted = False
-        self._options = options
-        self._perception = make_perception(options.perception)
-        self._controller = make_controller(options.controller, SteeringGains(**options.gains))
-        if self._controller.fingerprint != options.controller_sha256:
-            raise UsageError(
-                f'controller {options.controller} has changed since this began; put it back'
-            )
-        self._world = find_world(options.world, options.world_sha256)
+        self._out, self._images = out, images
+        self._parts = None if system is None else _load(system, None)
 
     def run(self, request: RunRequest, on_step: OnStep = lambda seq: None) -> RunResult:
         """Run a request.
@@ -89,20 +108,42 @@ class Loop:
             on_step: called with the number of every control step.
 
         Returns:
-            The same result as from a graph, except for the time that it took; INTERRUPTED if it
-            was :attr:`interrupted`.
+            The same result as from a graph, except for the time that it took; INTERRUPTED after
+            :meth:`interrupt`.
+
+        Raises:
+            UsageError: a part of a task's system cannot be used.
         """
         begun_s = time.monotonic()
-        watched = _Watched(self._perception, self._controller, self._world)
+        parts, perception = self._parts_of(request)
+        watched = _Watched(perception, parts.controller, parts.world)
         try:
             with _blamed(topics.RECORDER, InfraKind.BAG):
-                bag = self._open_bag(request)
+                bag = self._open_bag(request, parts)
             result = self._run(request, watched, bag, on_step)
         except InfraError as error:  # of the recording
             result = RunResult.infra_error(error.kind, error.who, error.detail, watched.seq)
         return replace(
-            result, perception=self._perception.word, fingerprint=self._perception.fingerprint,
+            result, perception=parts.perception.word, fingerprint=parts.perception.fingerprint,
             wall_s=time.monotonic() - begun_s,
+        )
+
+    def interrupt(self) -> None:
+        """End the current run at its next control step; safe to call from another thread."""
+        self.interrupted = True
+
+    def _parts_of(self, request: RunRequest) -> tuple[_Parts, Perception]:
+        """The parts that drive, and the perception or what a task has in its place."""
+        if isinstance(request, Task) and (
+            self._parts is None or self._parts.system != request.system
+        ):
+            self._parts = _load(request.system, self._parts)
+        parts = self._parts
+        assert parts is not None, 'neither loop nor request name a system'
+        if not isinstance(request, Task):
+            return parts, parts.perception
+        return parts, substituted(
+            parse_substitution(request.word), parts.perception, (request.seed, request.index)
         )
 
     def _run(
@@ -110,7 +151,7 @@ class Loop:
     ) -> RunResult:
         if bag is None:
             return self._drive(request, watched, lambda step: on_step(watched.seq))[0]
-        filmed = self._options.images == 'all'
+        filmed = self._images == 'all'
 
         def record(step: Step) -> None:
             with _blamed(topics.RECORDER, InfraKind.BAG):
@@ -123,7 +164,7 @@ class Loop:
                 if not watched.complete and watched.now is not None:
                     picture = watched.now.image if filmed else None
                     bag.torn_step(watched.now, picture, watched.estimate)
-                bag.end(self._ending(result), result.last_seq, judged)
+                bag.end(_ending(result, watched.perception), result.last_seq, judged)
         except BaseException:
             bag.abandon()
             raise
@@ -139,16 +180,21 @@ class Loop:
 
         def take(step: Step) -> None:
             watched.complete = True
+            if observer is not None:
+                with _blamed(topics.STEERING_CONTROLLER):
+                    observer.take(step)
             on_step(step)
             if self.interrupted:
                 raise _InterruptedError
 
-        judging = request.judging
+        assert self._parts is not None
+        judging, timing = request.judging, self._parts.system.timing
         try:
+            observer = _observer(request)
             judged = run_closed_loop(
                 request.scenario, watched.perception, specs=judging.parsed_specs,
                 controller=watched.controller, stop_on=judging.stop_on,
-                assumptions=judging.assumptions, on_step=take, timing=self._options.timing,
+                assumptions=judging.assumptions, on_step=take, timing=timing,
                 draws=(request.seed, request.index), make_world=make_world,
             )
         except _InterruptedError:
@@ -157,29 +203,22 @@ class Loop:
             if error.who == topics.RECORDER:
                 raise
             return RunResult.infra_error(error.kind, error.who, error.detail, watched.seq), None
-        return _judged(request, judged, watched.seq, self._options.timing), judged
+        seen = {} if observer is None else observer.values()
+        return _judged(request, judged, watched.seq, timing, seen), judged
 
-    def _open_bag(self, request: RunRequest) -> RunBag | None:
-        options = self._options
-        if options.out is None:
+    def _open_bag(self, request: RunRequest, parts: _Parts) -> RunBag | None:
+        if self._out is None:
             return None
-        nodes = node_words(self._perception, self._controller, self._world, options.timing)
+        nodes = node_words(parts.perception, parts.controller, parts.world, parts.system.timing)
         return RunBag(
-            run_folder(options.out, request.run_id), request, nodes,
-            images=options.images == 'all',
-            attachments=program_attachment(request.program, options.out), make_parents=False,
-        )
-
-    def _ending(self, result: RunResult) -> RunEnding:
-        return RunEnding(
-            outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
-            perception=self._perception.word, fingerprint=self._perception.fingerprint,
+            run_folder(self._out, request.run_id), request, nodes, images=self._images == 'all',
+            attachments=program_attachment(request.program, self._out), make_parents=False,
         )
 
     def _with_frames(self, bag: RunBag, result: RunResult, on_step: OnStep) -> RunResult:
         """Add the camera frames of a failed run, if they are recorded for failures only."""
         failed = result.outcome in (Outcome.FAIL, Outcome.INFRA_ERROR)
-        if self._options.images != 'failures' or not failed:
+        if self._images != 'failures' or not failed:
             return result
         try:
             for seq in restore_in_place(bag.folder, MIN_FREE_BYTES):
@@ -193,7 +232,27 @@ class Loop:
         return result
 
 
-def _judged(request: RunRequest, judged: Judgement, seq: int, timing: Timing) -> RunResult:
+def _observer(request: RunRequest) -> Observer | None:
+    if not (isinstance(request, Task) and request.observer):
+        return None
+    module, _, name = request.observer.partition(':')
+    with _blamed(topics.STEERING_CONTROLLER):
+        made: Observer = getattr(importlib.import_module(module), name)(
+            request.scenario, request.observed
+        )
+        return made
+
+
+def _ending(result: RunResult, perception: Perception) -> RunEnding:
+    return RunEnding(
+        outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
+        perception=perception.word, fingerprint=perception.fingerprint,
+    )
+
+
+def _judged(
+    request: RunRequest, judged: Judgement, seq: int, timing: Timing, seen: Mapping[str, Any]
+) -> RunResult:
     outcome = outcome_of(judged)
     if not outcome.judged:
         return RunResult.infra_error(last_seq=seq, **NOT_JUDGED)
@@ -202,6 +261,7 @@ def _judged(request: RunRequest, judged: Judgement, seq: int, timing: Timing) ->
         outcome=outcome, last_seq=seq,
         robustness={spec.name: reading.interval for spec, reading in readings},
         stopped_early=judged.stopped_early, statistics=judged.statistics, timing=timing.words,
+        seen=seen,
     )
 
 

@@ -1,15 +1,12 @@
-"""Worker process of a campaign without ROS: runs closed loops one by one.
+"""Worker process without ROS: runs closed loops one by one.
 
-Started by :class:`taxinet_ros.trials.worker_pool.WorkerProcess`, which defines the pipe protocol.
+Started by :class:`taxinet_ros.trials.worker_pool.WorkerProcess`.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,86 +14,47 @@ from typing import Any
 import cv2
 from threadpoolctl import threadpool_limits
 
-from taxinet_ros.core.system import system_values
-from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.core.system import System, system_values
 from taxinet_ros.processes.child import module_command
 from taxinet_ros.trials.audit import Auditor
-from taxinet_ros.trials.loop_run import Loop, LoopOptions
-from taxinet_ros.trials.worker_pool import encode_line, request_from_json, result_to_json
-
-_BEAT_S = 1.0
+from taxinet_ros.trials.loop_run import Loop
+from taxinet_ros.trials.worker_process import Link, serve
 
 
 def loop_worker_command(
-    options: LoopOptions, audit_percent: float = 0.0, audit_command: Sequence[str] = ()
+    system: System | None = None, out: Path | None = None, images: str = 'none', *,
+    audit_percent: float = 0.0, audit_command: Sequence[str] = (),
 ) -> list[str]:
     """Command line of a worker.
 
     Args:
-        options: options of its loop.
+        system: as of :class:`.Loop`.
+        out: likewise.
+        images: likewise.
         audit_percent: share of the runs to audit [%].
         audit_command: command of the graph's worker for audits, see :class:`.Auditor`.
     """
-    values = {**options.to_json(), 'out': None if options.out is None else str(options.out)}
-    return module_command(
-        'taxinet_ros.trials.loop_worker', f'--options={json.dumps(values)}',
-        f'--audit-percent={audit_percent}', f'--audit-command={json.dumps(list(audit_command))}',
-    )
+    values = {
+        'system': None if system is None else system.to_json(),
+        'out': None if out is None else str(out), 'images': images,
+        'audit_percent': audit_percent, 'audit_command': list(audit_command),
+    }
+    return module_command('taxinet_ros.trials.loop_worker', f'--options={json.dumps(values)}')
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Serve run requests until the input ends.
-
-    Returns:
-        Exit code: 0, or 2 after a usage error.
-    """
-    arguments = _arguments(words)
+def _work(options: dict[str, Any], link: Link) -> None:
     cv2.setNumThreads(1)  # the workers share the cores among themselves
     threadpool_limits(limits=1)
-    try:
-        _work(arguments)
-    except UsageError as error:
-        os.write(arguments.answers, encode_line({'error': str(error)}))
-        return ExitCode.USAGE
-    return ExitCode.OK
-
-
-def _work(arguments: argparse.Namespace) -> None:
-    values = json.loads(arguments.options)
-    out = None if values['out'] is None else Path(values['out'])
-    loop = Loop(LoopOptions(**{**system_values(values), 'out': out}))
-    told_s = time.monotonic()
-
-    def say(**message: Any) -> None:
-        os.write(arguments.answers, encode_line(message))
-
-    def beat(seq: int) -> None:
-        # Silence is taken for a hang.
-        nonlocal told_s
-        if time.monotonic() - told_s > _BEAT_S:
-            told_s = time.monotonic()
-            say(seq=seq)
-
-    percent = arguments.audit_percent if out is not None else 0.0
-    command = json.loads(arguments.audit_command)
-    with Auditor(lambda: command, out or Path(), percent) as auditor:
-        for line in sys.stdin.buffer:
-            message = json.loads(line)
-            if 'run' not in message:
-                return  # an interrupt: the current run has ended
-            request = request_from_json(message['run'])
-            result = auditor.audited(request, loop.run(request, beat), beat)
-            say(result=result_to_json(result))
-
-
-def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    parser.add_argument('--answers', type=int, required=True)
-    parser.add_argument('--options', required=True)
-    parser.add_argument('--audit-percent', type=float, required=True)
-    parser.add_argument('--audit-command', required=True)
-    return parser.parse_args(words)
+    system = None if options['system'] is None else System(**system_values(options['system']))
+    out = None if options['out'] is None else Path(options['out'])
+    loop = Loop(system, out, options['images'])
+    link.interrupt = loop.interrupt
+    percent = options['audit_percent'] if out is not None else 0.0
+    with Auditor(lambda: options['audit_command'], out or Path(), percent) as auditor:
+        for request in link.requests():
+            result = loop.run(request, link.progress)
+            link.answer(request, auditor.audited(request, result, link.progress))
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    sys.exit(serve(_work))

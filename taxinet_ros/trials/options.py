@@ -155,6 +155,11 @@ class CampaignOptions(System):
         })
 
     @property
+    def bag_folder(self) -> Path | None:
+        """Folder of its bags; None if it makes none."""
+        return self.out if self.bags else None
+
+    @property
     def standing_graph(self) -> bool:
         """Whether the graph was started before the campaign, and outlives its broken runs."""
         return not self.perception

@@ -1,4 +1,4 @@
-"""The workers of a campaign: started on demand, monitored, and replaced after errors.
+"""The workers that make runs: started on demand, monitored, and replaced after errors.
 
 A worker is a process with a pipe in each direction. It receives ``{"run": …}`` lines on its
 standard input, and an ``{"interrupt": true}`` line to end the current run; it exits at the end of
@@ -16,12 +16,15 @@ import select
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System, system_values
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
@@ -34,9 +37,30 @@ def encode_line(message: Mapping[str, Any]) -> bytes:
     return json.dumps(message, separators=(',', ':')).encode() + b'\n'
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Task(RunRequest):
+    """Request of a run by a system that it names itself.
+
+    Attributes:
+        system: what drives.
+        word: what stands in for its estimates (:mod:`taxinet_ros.core.perception.substituted`).
+        exact: whether the scene is that of a recorded run to the bit.
+        observer: ``MODULE:NAME`` of what looks on (:class:`.loop_run.Observer`), made from the
+            scenario and ``observed``; '' for none.
+        observed: word for the observer.
+    """
+
+    system: System
+    word: str = AS_RECORDED
+    exact: bool = True
+    observer: str = ''
+    observed: str = ''
+
+
 def request_to_json(request: RunRequest) -> dict[str, Any]:
     """Plain values; the inverse of :func:`request_from_json`."""
-    return dataclasses.asdict(request)
+    values = dataclasses.asdict(request)
+    return {**values, 'system': request.system.to_json()} if isinstance(request, Task) else values
 
 
 def request_from_json(values: Mapping[str, Any]) -> RunRequest:
@@ -46,12 +70,15 @@ def request_from_json(values: Mapping[str, Any]) -> RunRequest:
         UsageError: the scenario is out of range.
         KeyError, TypeError, ValueError: a field is missing or unknown.
     """
-    return RunRequest(**{
+    known = {
         **values,
         'scenario': Scenario(**values['scenario']),
         'judging': _judging_from_json(values['judging']),
         'participants': tuple(values['participants']),
-    })
+    }
+    if 'system' not in values:
+        return RunRequest(**known)
+    return Task(**{**known, 'system': System(**system_values(values['system']))})
 
 
 def _judging_from_json(values: Mapping[str, Any]) -> Judging:

@@ -11,9 +11,9 @@ import pytest
 
 from taxinet_ros.analysis.fault_localisation import (
     Blame,
+    Localisation,
     Suffices,
     judge_case,
-    localisation,
     localisation_json,
     localisation_report,
     localisation_sentences,
@@ -75,15 +75,14 @@ def test_given_trials_then_the_verdict_follows(made, blame, suffices):
 
 
 def found(answers, *, words=WORDS, chosen_by='random', failed=None, **kinds):
-    rows = [row(index) for index in range(len(answers))]
-    made = {
-        (one.run_id, word): trial
-        for one, given in zip(rows, answers, strict=True)
-        for word, trial in trials(one.index, *given, **kinds).items()
-    }
-    return localisation(
-        rows, made, words=words, spec='phi_eventually', specs=1, perception='original',
-        failed=failed or len(rows), runs=4 * len(rows), chosen_by=chosen_by,
+    cases = tuple(
+        judge_case(row(index), {
+            word: trial for word, trial in trials(index, *given, **kinds).items() if word in words
+        }) for index, given in enumerate(answers)
+    )
+    return Localisation(
+        spec='phi_eventually', specs=1, perception='original', failed=failed or len(cases),
+        runs=4 * len(cases), chosen_by=chosen_by, words=words, cases=cases,
     )
 
 

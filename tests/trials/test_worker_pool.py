@@ -12,13 +12,16 @@ from pathlib import Path
 import pytest
 
 from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.worker_pool import (
     Answer,
+    Task,
     WorkerPool,
     encode_line,
     request_from_json,
@@ -69,6 +72,14 @@ def test_given_runs_then_they_travel_whole(tmp_path):
         robustness={'f': RobustnessInterval.exactly(-1 / 3), 'g': RobustnessInterval(-math.inf, 1)},
     )
     assert request_from_json(json.loads(encode_line(request_to_json(asked)))) == asked
+    task = Task(
+        **{name: getattr(asked, name) for name in RunRequest.__dataclass_fields__},
+        word='noisy:1', exact=False, observer='module:Name', observed='word', system=System(
+            perception='original', gains={'heading_gain': 1 / 3},
+            timing=parse_timing('latency perception=0.3'), world='kmwh', world_sha256='x',
+        ),
+    )
+    assert request_from_json(json.loads(encode_line(request_to_json(task)))) == task
     back = result_from_json(json.loads(encode_line(result_to_json(answer))))
     assert repr(back) == repr(answer)  # NaN is not equal to itself
 

@@ -297,7 +297,7 @@ def _driven(network: str, baseline: Path, out: Path | None, workers: int) -> _Ju
             'program': rows[0].program, 'seed': rows[0].seed, 'perception': network,
             'perception_sha256': fingerprint, 'controller': system.controller,
             'gains': dict(system.gains), 'timing': system.timing.words, 'world': system.world,
-            **system.judging.facts(),
+            **scenes.judging.facts(),
         },
     )
     write_table(out / PARQUET_NAME, judged.table())

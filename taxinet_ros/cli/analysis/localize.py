@@ -63,8 +63,8 @@ def localize(
 def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     """Run the trials, write the results and print a summary; return the exit code."""
     from taxinet_ros.analysis.fault_localisation import (
+        localisation,
         localisation_json,
-        localisation_of,
         localisation_sentences,
     )
     from taxinet_ros.cli.progress import stage_bars
@@ -85,7 +85,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
             options, lambda done: show('trials', done, options.wanted), lambda: bool(asked)
         )
     campaign = options.campaign
-    found = localisation_of(
+    found = localisation(
         campaign, options.rows, trials, words=options.words, perception=options.perception
     )
     unfinished = len(trials) < options.wanted

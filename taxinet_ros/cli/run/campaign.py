@@ -34,7 +34,7 @@ from taxinet_ros.samplers.sampler import MOST_LAG
 from taxinet_ros.trials.audit import Auditor
 from taxinet_ros.trials.campaign import ProgramOrder, exit_code
 from taxinet_ros.trials.engine import Engine, run_search
-from taxinet_ros.trials.loop_run import Loop, campaign_loop
+from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.options import GRAPH, LOOP, CampaignOptions
 from taxinet_ros.trials.record.facts import recorded_system
 from taxinet_ros.trials.record.row import RunRow
@@ -303,7 +303,7 @@ def _loop(options: CampaignOptions, system: System) -> Iterator[Graph]:
 
         return audit_command(options, system)
 
-    loop = Loop(campaign_loop(options, system))
+    loop = Loop(system, options.bag_folder, options.images)
     with Auditor(audit, options.out, options.audit_percent) as auditor:
         yield _LoopGraph(loop, auditor)
 
@@ -323,4 +323,4 @@ class _LoopGraph:
                 return
 
     def interrupt(self) -> None:
-        self._loop.interrupted = True
+        self._loop.interrupt()

@@ -9,7 +9,7 @@ import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
 from taxinet_ros.core.scenario import Scenario
@@ -103,6 +103,7 @@ class RunResult:
         perception, fingerprint: name of the perception, and hash of its weights.
         timing: when answers took effect, in the notation of :mod:`.timing`.
         free: statistics of a free run, see :meth:`.free_run.FreeRunAccount.figures`.
+        seen: plain values of an observer, if the request names one.
         wall_s: wall-clock time from request to result [s].
         stack: identifier of the record (:func:`.provenance.stack_id`) of the machine that made the
             run; '' for this one.
@@ -121,6 +122,7 @@ class RunResult:
     fingerprint: str = ''
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
+    seen: Mapping[str, Any] = field(default_factory=dict)
     wall_s: float = 0.0
     stack: str = ''
     bags: str = ''

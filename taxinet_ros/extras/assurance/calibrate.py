@@ -69,30 +69,39 @@ _R = TypeVar('_R')
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CalibrateOptions:
-    """Options of a calibration.
+@dataclass(frozen=True, kw_only=True)
+class AssureOptions:
+    """What runs a monitor is calibrated or judged on.
 
     Attributes:
+        program: scenes.
         perception: word or file.
-        program: scenes that the perception is used to.
-        runs: runs that set the thresholds; a quarter as many more say what is usual.
-        rate: largest share of satisfied runs with an alarm, on average over calibrations.
-        seed: seed of the scenes.
+        runs: number of scenes.
+        seed: of the scenes.
         workers: processes; same results.
-        out: file to write.
+        out: file or folder to write.
+    """
+
+    program: str
+    perception: str
+    runs: int
+    seed: int
+    workers: int
+    out: Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateOptions(AssureOptions):
+    """Options of a calibration; a quarter as many runs more say what is usual.
+
+    Attributes:
+        rate: largest share of satisfied runs with an alarm, on average over calibrations.
 
     Raises:
         UsageError: a value is out of range, or the file cannot be written.
     """
 
-    perception: str
-    program: str
-    runs: int
     rate: float
-    seed: int
-    workers: int
-    out: Path
 
     def __post_init__(self) -> None:
         if not 0 < self.rate < 1:
@@ -319,12 +328,6 @@ def _each(
 ) -> Iterator[_R]:
     """Results in the order of the items, whatever the number of processes."""
     perception, workers = work
-    if workers == 1:
-        _start_worker(perception)
-        for done, item in enumerate(items, 1):
-            yield function(item)
-            progress(stage, done, len(items))
-        return
     with process_pool(workers, 'calibration worker', _start_worker, perception) as pool:
         for done, result in enumerate(pool.map(function, items, chunksize=4), 1):
             yield result

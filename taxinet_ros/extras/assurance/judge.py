@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import functools
 import io
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,30 +24,29 @@ from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen, make_monito
 from taxinet_ros.core.assurance.switch import (
     WATCH,
     Alarm,
-    Assured,
     alarm_of,
     check_controller,
-    make_controller,
     monitored,
 )
 from taxinet_ros.core.control_step import rolling_on
-from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.motion.controller import Controller, SteeringGains
-from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M, parse_spec
-from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
+from taxinet_ros.core.loop import Step
+from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
+from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
+from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.extras.assurance.calibrate import REQUIREMENT
+from taxinet_ros.extras.assurance.calibrate import REQUIREMENT, AssureOptions
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.training.data.dataset import draw_scenes
+from taxinet_ros.trials.past_runs import trials as kept
 from taxinet_ros.trials.past_runs.trials import TrialRecord, check_trials_folder
 from taxinet_ros.trials.rates import Rate, rate, share_bounds
+from taxinet_ros.trials.worker_pool import Task
 
 WITHOUT = 'without'
 """What a run without monitor is called."""
@@ -64,32 +64,21 @@ Progress = Callable[[str, int, int], None]
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class JudgeOptions:
-    """Options of a judgement.
+@dataclass(frozen=True, kw_only=True)
+class JudgeOptions(AssureOptions):
+    """Options of a judgement; ``out`` is a new folder, or one of an earlier judgement.
 
     Attributes:
-        program: scenes.
-        perception, controller, monitor: words.
+        controller, monitor: words.
         fallbacks: words, each driven.
-        runs: number of scenes.
-        seed: of the scenes.
-        workers: processes; same results.
-        out: new folder, or one of an earlier judgement.
 
     Raises:
         UsageError: a word is unknown, or the folder has something else.
     """
 
-    program: str
-    perception: str
     controller: str
     monitor: str
     fallbacks: tuple[str, ...]
-    runs: int
-    seed: int
-    workers: int
-    out: Path
 
     def __post_init__(self) -> None:
         check_perception(self.perception)
@@ -179,141 +168,62 @@ def reached(times_s: Sequence[float], cte_m: Sequence[float]) -> bool:
     )
 
 
-class Watching:
-    """A monitor beside a run, until it leaves the runway; its first alarm is not the end.
+class Beside:
+    """Looks on at a run: where the aircraft is, and what a monitor beside it says.
 
-    Attributes:
-        alarm: the first alarm; None if there was none.
-        alarms_s: time of the first alarm for each of :data:`FACTORS` [s]; NaN if never.
+    The monitor goes on after its first alarm, until the aircraft leaves the runway.
     """
 
-    def __init__(self, monitor: RuntimeMonitor, scene: Scenario) -> None:
-        """Begin a run."""
-        monitor.begin(scene)
-        self._monitor, self._before = monitor, rolling_on(scene.speed_mps)
-        self._half_width_m, self._over = scene.line.half_width_m, False
-        self.alarm: Alarm | None = None
-        self.alarms_s = np.full(len(FACTORS), math.nan)
+    def __init__(self, scene: Scenario, monitor: str) -> None:
+        """Begin a run; ``monitor``: its word, or '' for none."""
+        self._monitor = _monitor(monitor) if monitor else None
+        if self._monitor is not None:
+            self._monitor.begin(scene)
+        self._before, self._half_width_m = rolling_on(scene.speed_mps), scene.line.half_width_m
+        self._times_s: list[float] = []
+        self._cte_m: list[float] = []
+        self._off_s = math.nan
+        self._alarm: Alarm | None = None
+        self._alarms_s = np.full(len(FACTORS), math.nan)
 
     def take(self, step: Step) -> None:
-        """Judge a step of the run."""
+        """Look at a step of the run."""
         now = step.observation
-        self._over |= abs(now.on_track.cte_m) > self._half_width_m
-        if self._over or not np.isnan(self.alarms_s).any():
+        time_s, cte_m = now.stamp_ns / NS_PER_S, now.on_track.cte_m
+        self._times_s.append(time_s)
+        self._cte_m.append(cte_m)
+        if math.isnan(self._off_s) and abs(cte_m) > self._half_width_m:
+            self._off_s = time_s
+        if self._monitor is None or not (
+            math.isnan(self._off_s) and np.isnan(self._alarms_s).any()
+        ):
             return
         assert now.image is not None
         scores = self._monitor.scores(
             Seen(image=now.image, estimate=step.estimate, command=self._before)
         )
         self._before = step.command
-        if self.alarm is None:
-            self.alarm = alarm_of(scores, now.seq)
-        raised = np.isnan(self.alarms_s) & (max(scores.values()) >= np.array(FACTORS))
-        self.alarms_s[raised] = now.stamp_ns / NS_PER_S
+        if self._alarm is None:
+            self._alarm = alarm_of(scores, now.seq)
+        raised = np.isnan(self._alarms_s) & (max(scores.values()) >= np.array(FACTORS))
+        self._alarms_s[raised] = time_s
+
+    def values(self) -> dict[str, Any]:
+        """Columns of a :class:`Trial`, and the first alarms; null is NaN."""
+        alarm = self._alarm
+        found: dict[str, Any] = plain({
+            'duration_s': self._times_s[-1], 'due_s': due_s(self._times_s, self._cte_m),
+            'reached': reached(self._times_s, self._cte_m), 'off_s': self._off_s,
+            'alarm_s': math.nan if alarm is None else alarm.at_s,
+            'reason': '' if alarm is None else alarm.reason,
+            'alarms_s': self._alarms_s.tolist(),
+        })
+        return found
 
 
-def drive(
-    number: int, fallback: str, scene: Scenario, perception: Perception, controller: Controller,
-    watching: Watching | None = None,
-) -> Trial:
-    """Make one run.
-
-    Args:
-        number: number of the scene.
-        fallback: what the run is called.
-        scene: the scene.
-        perception: the perception.
-        controller: the controller.
-        watching: a monitor beside it; None: the controller has one.
-
-    Raises:
-        InfraError: it could not be judged.
-    """
-    times_s: list[float] = []
-    cte_m: list[float] = []
-
-    def take(step: Step) -> None:
-        times_s.append(step.observation.stamp_ns / NS_PER_S)
-        cte_m.append(step.observation.on_track.cte_m)
-        if watching is not None:
-            watching.take(step)
-
-    judged = run_closed_loop(
-        scene, perception, specs=[parse_spec(REQUIREMENT)], controller=controller, on_step=take
-    )
-    outcome = outcome_of(judged)
-    if not outcome.judged:
-        raise InfraError(InfraKind.SIM, 'judge', -1, f'scene {number} could not be judged')
-    off = [t for t, cte in zip(times_s, cte_m, strict=True) if abs(cte) > scene.line.half_width_m]
-    alarm = controller.alarm if isinstance(controller, Assured) else (
-        None if watching is None else watching.alarm
-    )
-    return Trial(
-        scene=number, fallback=fallback, satisfied=outcome is Outcome.PASS,
-        rho_m=judged.readings[0].lower, left_runway=bool(off), duration_s=times_s[-1],
-        due_s=due_s(times_s, cte_m), reached=reached(times_s, cte_m),
-        off_s=off[0] if off else math.nan,
-        alarm_s=math.nan if alarm is None else alarm.at_s,
-        reason='' if alarm is None else alarm.reason,
-    )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Driven:
-    """All runs of a scene.
-
-    Attributes:
-        trials: without a fallback, then with each.
-        alarms_s: of the first one, see :class:`Watching`.
-    """
-
-    trials: tuple[Trial, ...]
-    alarms_s: Floats
-    judged = True
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :meth:`from_json`."""
-        return {'trials': plain(self.trials), 'alarms_s': plain(self.alarms_s.tolist())}
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """From the values of :meth:`to_json`; null is NaN.
-
-        Raises:
-            LookupError, TypeError, ValueError: they are others.
-        """
-        def known(value: Any) -> Any:
-            return math.nan if value is None else value
-
-        return cls(
-            trials=tuple(
-                Trial(**{name: known(value) for name, value in trial.items()})
-                for trial in values['trials']
-            ),
-            alarms_s=np.array([float(known(time_s)) for time_s in values['alarms_s']]),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Judges:
-    """What a process needs for the runs: perception, plain controller, monitor, and controllers."""
-
-    perception: Perception
-    controller: Controller
-    monitor: RuntimeMonitor
-    guarded: Mapping[str, Controller]
-
-    def drive_scene(self, number: int, scene: Scenario) -> Driven:
-        """Make all runs of a scene."""
-        watching = Watching(self.monitor, scene)
-        plain = drive(number, WITHOUT, scene, self.perception, self.controller, watching)
-        trials = [plain]
-        for fallback, controller in self.guarded.items():
-            if math.isnan(plain.alarm_s):
-                trials.append(dataclasses.replace(plain, fallback=fallback))
-            else:
-                trials.append(drive(number, fallback, scene, self.perception, controller))
-        return Driven(trials=tuple(trials), alarms_s=watching.alarms_s)
+@functools.lru_cache(maxsize=1)
+def _monitor(word: str) -> RuntimeMonitor:
+    return make_monitor(word)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -361,6 +271,7 @@ class Judged(FalseAlarms):
         reasons: alarms by check.
         with_fallback: by fallback.
         trade: alarms and false alarms by multiple of the thresholds.
+        unjudged: scenes that are left out, as a run of theirs could not be judged, and why.
     """
 
     runs: int
@@ -380,6 +291,7 @@ class Judged(FalseAlarms):
     reasons: Mapping[str, int]
     with_fallback: Mapping[str, Guarded]
     trade: tuple[Trade, ...]
+    unjudged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -422,7 +334,7 @@ def summarize(trials: Sequence[Trial], alarms_s: Mapping[int, Floats]) -> Judged
 
     Args:
         trials: for each scene one :data:`WITHOUT`, and one for each fallback.
-        alarms_s: by scene, see :class:`Watching`.
+        alarms_s: by scene, see :class:`Beside`.
 
     Raises:
         KeyError: a scene has no alarms.
@@ -489,7 +401,7 @@ def trade_of(plain: Sequence[Trial], alarms_s: Sequence[Floats]) -> tuple[Trade,
 
     Args:
         plain: the runs without a fallback.
-        alarms_s: of each, see :class:`Watching`.
+        alarms_s: of each, see :class:`Beside`.
     """
     lost = [number for number, one in enumerate(plain) if one.left_runway]
     good = [number for number, one in enumerate(plain) if one.satisfied]
@@ -568,19 +480,23 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
 
     Args:
         options: what to judge.
-        progress: called with the stage, the scenes done and their number.
+        progress: called with the stage, the runs done and their number.
 
     Raises:
         UsageError: the perception sees no pictures, the program cannot be used, or the folder has
             runs of other options.
-        InfraError: a run broke.
+        InfraError: no scene could be judged.
     """
     if not make_perception(options.perception).needs_image:
         raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
     scenes = draw_scenes(options.program, seed=options.seed, images=options.runs)
-    driven = _drive(options, scenes, progress)
-    trials = [trial for one in driven for trial in one.trials]
-    judged = summarize(trials, {one.trials[0].scene: one.alarms_s for one in driven})
+    driven, broken = _drive(options, scenes, progress)
+    if not driven:
+        raise InfraError(InfraKind.SIM, 'judge', -1, f'no scene could be judged: {broken[0]}')
+    trials = [trial for one, _ in driven for trial in one]
+    judged = dataclasses.replace(
+        summarize(trials, {one[0].scene: alarms_s for one, alarms_s in driven}), unjudged=broken
+    )
     write_atomically(options.out / TRIALS_NAME, trials_csv(trials))
     write_atomically(options.out / ALARMS_NAME, alarms_csv(driven))
     write_sealed(
@@ -590,24 +506,88 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
     return judged
 
 
+Driven = tuple[tuple[Trial, ...], Floats]
+"""All runs of a scene, that without a fallback first, and the first alarms of that one."""
+
+
 def _drive(
     options: JudgeOptions, scenes: Sequence[Scenario], progress: Progress
-) -> list[Driven]:
-    """Runs of all scenes; those in the record are taken from it."""
+) -> tuple[list[Driven], tuple[str, ...]]:
+    """Runs of all scenes, and why some scenes have none; those in the record are taken from it."""
     settings = {
         'requirement': REQUIREMENT, 'fingerprints': dict(options.fingerprints),
         'monitor': options.monitor, 'fallbacks': list(options.fallbacks),
     }
+    numbers, words = range(len(scenes)), {WITHOUT: options.controller, **options.words}
+
+    def key(number: int, fallback: str) -> str:
+        return f'{number:06} {scenes[number].digest} {fallback}'
+
+    def task(number: int, fallback: str) -> Task:
+        return Task(
+            run_id=f'{number:06}-{fallback}', index=number, program='', seed=options.seed,
+            scenario=scenes[number], judging=Judging(specs=(REQUIREMENT,)), participants=(),
+            system=System(perception=options.perception, controller=words[fallback]),
+            observer=f'{__name__}:{Beside.__name__}',
+            observed=options.monitor if fallback == WITHOUT else '',
+        )
+
     other = 'has runs of another perception, controller, monitor or fallback'
-    keys = [f'{number:06} {scene.digest}' for number, scene in enumerate(scenes)]
-    with TrialRecord(options.out, settings, Driven, other) as record:
-        missing = [one for one, key in enumerate(keys) if key not in record.done]
-        made = len(scenes) - len(missing)
-        for driven in _runs(options, [(number, scenes[number]) for number in missing]):
-            record.keep(keys[driven.trials[0].scene], driven)
-            made += 1
-            progress('scenes', made, len(scenes))
-        return [record.done[key] for key in keys]
+    with TrialRecord(options.out, settings, other) as record:
+        def made(stage: str, runs: Sequence[tuple[int, str]]) -> dict[str, kept.Trial]:
+            wanted = {key(*run): functools.partial(task, *run) for run in runs}
+            done = itertools.count(1 + sum(name in record.done for name in wanted))
+            return record.make(
+                wanted, options.workers, lambda: progress(stage, next(done), len(wanted))
+            )
+
+        found = made('scenes', [(number, WITHOUT) for number in numbers])
+        alarmed = [
+            number for number in numbers
+            if found[key(number, WITHOUT)].seen.get('alarm_s') is not None
+        ]
+        found |= made('fallbacks', [
+            (number, fallback) for fallback in options.fallbacks for number in alarmed
+        ])
+    driven: list[Driven] = []
+    broken: list[str] = []
+    for number in numbers:
+        without = found[key(number, WITHOUT)]
+        runs = {
+            fallback: found.get(key(number, fallback), without)
+            for fallback in (WITHOUT, *options.fallbacks)
+        }
+        if all(one.judged for one in runs.values()):
+            driven.append(_driven(number, runs))
+        else:
+            broken.append(next(
+                f'scene {number}, {name}: {one.detail}' for name, one in runs.items()
+                if not one.judged
+            ))
+    return driven, tuple(broken)
+
+
+def _driven(number: int, runs: Mapping[str, kept.Trial]) -> Driven:
+    """The rows of a scene. Until the alarm its runs are one, so that is the same in all."""
+    seen = {
+        fallback: {name: _known(value) for name, value in one.seen.items()}
+        for fallback, one in runs.items()
+    }
+    alarm = {name: seen[WITHOUT][name] for name in ('alarm_s', 'reason')}
+    trials = tuple(
+        Trial(
+            scene=number, fallback=fallback, satisfied=bool(one.passed),
+            rho_m=one.robustness.lower if one.robustness else math.nan,
+            left_runway=bool(one.left_runway), **alarm, **{
+                name: seen[fallback][name] for name in ('duration_s', 'due_s', 'reached', 'off_s')
+            },
+        ) for fallback, one in runs.items()
+    )
+    return trials, np.array([_known(time_s) for time_s in seen[WITHOUT]['alarms_s']])
+
+
+def _known(value: Any) -> Any:
+    return math.nan if value is None else value
 
 
 def trials_csv(trials: Sequence[Trial]) -> str:
@@ -624,12 +604,12 @@ def trials_csv(trials: Sequence[Trial]) -> str:
     return text.getvalue()
 
 
-def alarms_csv(driven: Sequence[Driven]) -> str:
+def alarms_csv(driven: Iterable[Driven]) -> str:
     """Time of the first alarm of each scene without a fallback, by multiple of the thresholds."""
     lines = [','.join(_ALARM_NAMES)]
-    for one in driven:
-        times = ('' if math.isnan(time_s) else repr(float(time_s)) for time_s in one.alarms_s)
-        lines.append(','.join([str(one.trials[0].scene), *times]))
+    for trials, alarms_s in driven:
+        times = ('' if math.isnan(time_s) else repr(float(time_s)) for time_s in alarms_s)
+        lines.append(','.join([str(trials[0].scene), *times]))
     return '\n'.join(lines) + '\n'
 
 
@@ -655,31 +635,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-_worker: list[Judges] = []
-"""The parts of a worker process."""
-
-
-def _start_worker(options: JudgeOptions) -> None:
-    _worker.append(Judges(
-        perception=make_perception(options.perception),
-        controller=make_controller(options.controller, SteeringGains()),
-        monitor=make_monitor(options.monitor),
-        guarded={
-            fallback: make_controller(word, SteeringGains())
-            for fallback, word in options.words.items() if fallback != WATCH
-        },
-    ))
-
-
-def _scene(given: tuple[int, Scenario]) -> Driven:
-    return _worker[-1].drive_scene(*given)
-
-
-def _runs(
-    options: JudgeOptions, scenes: Sequence[tuple[int, Scenario]]
-) -> Iterator[Driven]:
-    """Runs of each scene with its number, as they finish."""
-    with process_pool(options.workers, 'judging worker', _start_worker, options) as pool:
-        yield from pool.run_all(_scene, scenes, options.workers)

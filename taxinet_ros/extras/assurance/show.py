@@ -71,6 +71,9 @@ def run_calibrate(options: CalibrateOptions) -> int:
 def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
     """Judge a monitor and print how it fares.
 
+    Returns:
+        Exit code: 0, or 3 if scenes were left out, as runs of theirs could not be judged.
+
     Raises:
         UsageError: bad input.
     """
@@ -78,10 +81,13 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
         Console(stderr=True).print(warning, soft_wrap=True, markup=False, highlight=False)
     with stage_bars(Console(stderr=True)) as show:
         judged = judge(options, show)
+    code = ExitCode.INCOMPLETE if judged.unjudged else ExitCode.OK
     if as_json:
         print(json.dumps(plain_result(options, judged), indent=2, allow_nan=False))
-        return ExitCode.OK
+        return code
     console = _console()
+    for trouble in judged.unjudged:
+        console.print(f'left out, not judged: {trouble}', soft_wrap=True)
     for line in judged_lines(judged):
         console.print(line, soft_wrap=True)
     table = Table(box=None, pad_edge=False)
@@ -104,7 +110,7 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
         f'{options.out}: {TRIALS_NAME}, {ALARMS_NAME}, {picture.name}, {RESULT_NAME}',
         soft_wrap=True,
     )
-    return ExitCode.OK
+    return code
 
 
 def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: bool) -> int:

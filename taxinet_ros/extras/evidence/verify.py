@@ -7,6 +7,7 @@ the messages of their bags have to be equal to the bit.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import random
 import re
@@ -19,8 +20,7 @@ from typing import Any
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
 from taxinet_ros.core.provenance import differences, provenance
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
@@ -36,7 +36,8 @@ from taxinet_ros.extras.evidence.evidence import (
 from taxinet_ros.extras.evidence.inputs import CampaignInput, requirement_of, usable_network
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
-from taxinet_ros.trials.loop_run import Loop, LoopOptions
+from taxinet_ros.trials.loop_run import Loop
+from taxinet_ros.trials.past_runs.shared_scenes import system_of
 from taxinet_ros.trials.record.facts import recorded_stacks, recorded_world
 from taxinet_ros.trials.record.row import RunRow
 
@@ -310,7 +311,7 @@ def _drive_again(
                 out.mkdir()
                 # From there the bag gets the program's text, as in the campaign.
                 (out / RECORD_NAME).symlink_to((one.folder / RECORD_NAME).resolve())
-                loops[name] = Loop(_loop_options(one, out, networks))
+                loops[name] = _loop(one, out, networks)
             if difference := run_difference(one, row, loops[name], out):
                 found.different.append(f'{one.folder / row.run_id}: driven again: {difference}')
             on_progress('runs', done, len(sample))
@@ -329,16 +330,13 @@ def not_repeatable(one: CampaignInput, networks: tuple[str, ...] = ()) -> str:
         return str(error)
 
 
-def _loop_options(one: CampaignInput, out: Path, networks: tuple[str, ...]) -> LoopOptions:
+def _loop(one: CampaignInput, out: Path, networks: tuple[str, ...]) -> Loop:
     facts = one.facts
-    world, sha256 = recorded_world(facts)
-    return LoopOptions(
-        perception=usable_network(facts, networks),
-        controller=str(facts.get('controller', STEERING)),
+    system = dataclasses.replace(
+        system_of(one.recorded), perception=usable_network(facts, networks),
         controller_sha256=str(facts.get('controller_sha256', '')),
-        gains=dict(facts.get('gains', {})), timing=parse_timing(str(facts.get('timing', ''))),
-        world=world, world_sha256=sha256, out=out, images=str(facts.get('images', 'none')),
     )
+    return Loop(system, out, str(facts.get('images', 'none')))
 
 
 def run_difference(one: CampaignInput, row: RunRow, loop: Loop, out: Path) -> str:

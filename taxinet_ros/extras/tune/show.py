@@ -172,7 +172,7 @@ def tuned_lines(tuned: Tuned, options: TuneOptions) -> list[str]:
     if tuned.verdict == 'better':
         lines.append(
             'next: ' + RunSettings(
-                perception=options.perception, gains=found.gains, judging=options.system.judging,
+                perception=options.perception, gains=found.gains, judging=options.learning.judging,
             ).command(options.learning.source, verb='falsify')
         )
     return lines

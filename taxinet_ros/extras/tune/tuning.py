@@ -17,6 +17,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,10 +30,11 @@ from taxinet_ros.analysis.experiment.pairs import (
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.system import System
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.samplers.optuna_study import SEEDS, new_study, quiet
-from taxinet_ros.trials.past_runs.shared_scenes import Scene, SceneSet
-from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord, TrialSystem, trial_pool
+from taxinet_ros.trials.past_runs.shared_scenes import Scene, SceneSet, trials_digest
+from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
 
 if TYPE_CHECKING:
     from optuna import Trial as Proposal
@@ -141,7 +143,7 @@ class TuneOptions:
         SteeringGains(**self.start)
 
     @property
-    def system(self) -> TrialSystem:
+    def system(self) -> System:
         """The system without gains, which each candidate has its own of."""
         return dataclasses.replace(self.learning.system_with(self.perception), gains={})
 
@@ -339,7 +341,7 @@ class Tuned:
         return 'unclear'
 
 
-class Tuning(TrialRecord[Trial]):
+class Tuning(TrialRecord):
     """A search whose runs are kept in a folder, so that the same command continues it."""
 
     def __init__(self, options: TuneOptions, out: Path) -> None:
@@ -350,7 +352,7 @@ class Tuning(TrialRecord[Trial]):
         """
         options.check()
         super().__init__(
-            out, {'system': options.system.digest}, Trial,
+            out, {'system': trials_digest(options.system, options.learning.judging)},
             'has runs of another perception, requirement or world',
         )
         self.options = options
@@ -368,25 +370,26 @@ class Tuning(TrialRecord[Trial]):
             interrupted: whether to start no more runs.
 
         Raises:
-            InfraError: the initial gains cannot be judged, or a worker died.
+            InfraError: the initial gains cannot be judged, or worker processes end one after the
+                other.
         """
         options = self.options
-        with trial_pool(options.system, options.workers) as run_tasks:
-            def run(scenes: SceneSet, gains: Gains, numbers: Sequence[int]) -> list[Trial]:
-                if interrupted():
-                    raise _InterruptedError
-                chosen = [scenes.scenes[number] for number in numbers]
-                keys = {scene.row.run_id: _key(gains, scene) for scene in chosen}
-                missing = [one for one in chosen if keys[one.row.run_id] not in self.done]
-                for trial in run_tasks([scene.task(gains=dict(gains)) for scene in missing]):
-                    self.keep(keys[trial.run_id], trial)
-                    on_run()
-                return [self.done[key] for key in keys.values()]
 
-            try:
-                return self._search(run, on_candidate)
-            except _InterruptedError:
-                return None
+        def run(scenes: SceneSet, gains: Gains, numbers: Sequence[int]) -> list[Trial]:
+            system = dataclasses.replace(options.system, gains=dict(gains))
+            wanted = {_key(gains, one): one for one in map(scenes.scenes.__getitem__, numbers)}
+            found = self.make({
+                key: partial(scene.task, system, options.learning.judging)
+                for key, scene in wanted.items()
+            }, options.workers, on_run, interrupted)
+            if interrupted() or len(found) < len(wanted):
+                raise _InterruptedError
+            return [found[_key(gains, scenes.scenes[number])] for number in numbers]
+
+        try:
+            return self._search(run, on_candidate)
+        except _InterruptedError:
+            return None
 
     def _search(
         self, run: Callable[[SceneSet, Gains, Sequence[int]], list[Trial]],
@@ -459,7 +462,7 @@ def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
     """Plain values of a result."""
     return plain_values({
         'program': options.learning.source, 'perception': options.perception,
-        'spec': options.system.judging.headline, 'seed': options.seed,
+        'spec': options.learning.judging.headline, 'seed': options.seed,
         'varied': {one.name: [one.low, one.high] for one in options.varied},
         'scenes': tuned.scenes, 'runs': tuned.runs, 'verdict': tuned.verdict,
         'start': _candidate_json(tuned.start), 'found': _candidate_json(tuned.found),

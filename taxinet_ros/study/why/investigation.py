@@ -38,12 +38,12 @@ from taxinet_ros.core.perception.perception import (
     GroundTruth,
     check_perception,
     find_domain,
-    make_perception,
 )
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.perception.substituted import TRUTH as WITH_TRUTH
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, CAMERA, CAMERA_OFFSETS
+from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.judge import describe_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -87,13 +87,15 @@ from taxinet_ros.study.why.verdict import (
     Paired,
     adjusted,
 )
+from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.trials.past_runs.localisation import make_localize_options
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
-from taxinet_ros.trials.past_runs.trials import Task, Trial, TrialSystem, make_trial
+from taxinet_ros.trials.past_runs.trials import Trial
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
 from taxinet_ros.trials.record.table import PARQUET_NAME
 from taxinet_ros.trials.run_command import RunSettings
+from taxinet_ros.trials.worker_pool import Task
 
 CONFIRM, CAUSES, EXPLAIN = 'confirm', 'causes', 'explain'
 _RIG = (AIRCRAFT_MODEL, CAMERA, *CAMERA_OFFSETS)
@@ -465,16 +467,18 @@ class Investigation:
             'controller', run.controller, lambda: check_controller(run.controller, run.gains),
             run.controller_fingerprint, 'put its file back',
         )
-        bench = TrialSystem(
-            perception=network, judging=Judging(specs=run.specs), gains=run.gains,
-            controller=run.controller, timing=run.timing, world=run.world,
-            world_sha256=run.world_fingerprint,
+        system = System(
+            perception=network, gains=run.gains, controller=run.controller, timing=run.timing,
+            world=run.world, world_sha256=run.world_fingerprint,
         )
-        perception = make_perception(network)
+        judging, loop = Judging(specs=run.specs), Loop()
 
         def trial(word: str) -> Trial:
-            task = Task(run_id=run.run_id, scenario=run.scenario, word=word, seed=(run.seed, 0))
-            return make_trial(task, bench, perception)
+            task = Task(
+                run_id=run.run_id, index=0, program='', seed=run.seed, scenario=run.scenario,
+                judging=judging, participants=(), system=system, word=word,
+            )
+            return Trial.of(task, loop.run(task))
 
         control = trial(AS_RECORDED)
         before = run.robustness.get(run.headline)
@@ -486,7 +490,7 @@ class Investigation:
         if passed:
             return Blames(network=1)
         world = find_world(run.world, run.world_fingerprint).make
-        doomed = violated_at_start(run.scenario, bench.judging, world)
+        doomed = violated_at_start(run.scenario, judging, world)
         return Blames(requirement=int(doomed), controller=int(not doomed))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +17,15 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.core.motion.controller import STEERING, SteeringGains, is_steering_law, parse_gains
+from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
 from taxinet_ros.trials.record.content import CampaignContent, read_campaign
-from taxinet_ros.trials.record.facts import WORLD, is_campaign, recorded_world
+from taxinet_ros.trials.record.facts import is_campaign, recorded_world
 from taxinet_ros.trials.record.row import RunRow
 
 _NO_FACTS: Mapping[str, Any] = {}
@@ -169,7 +168,7 @@ def bag_differences(
 ) -> list[str]:
     """Differences between a bag and its run's row and campaign.
 
-    Values that one of them lacks, as in earlier versions, are not compared.
+    What drove is not compared: another system gives another robustness, to the bit.
 
     Args:
         row: row of the run.
@@ -193,10 +192,8 @@ def bag_differences(
             f'rho of {name}': (one.interval, row.robustness.get(name))
             for name, one in told.judged.items()
         }
-        pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}
-        pairs |= _of_world(told, facts)
     return [
-        f'its {name} is {_short(here)}, the row has {_short(there)}'
+        f'its {name} is {here}, the row has {there}'
         for name, (here, there) in pairs.items() if here != there
     ]
 
@@ -230,56 +227,6 @@ def _of_formulas(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[An
     return {
         f'formula {name}': (here.get(name, nothing), own.get(name, nothing)) for name in names
     }
-
-
-def _of_nodes(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
-    """Implementations as reported by the simulator and the perception."""
-    eyes, world = told.nodes.get('perception'), told.nodes.get('simulator')
-    prints = {eyes.fingerprint if eyes else ''} - {''}, {row.fingerprint} - {''}
-    pairs: dict[str, tuple[Any, Any]] = {
-        'timing': (world.implementation if world else '', row.timing), 'network': prints,
-    }
-    # Network names stand for weights; without hashes, only the name can be compared.
-    if eyes and eyes.implementation and not any(prints) and not is_node_elsewhere(row.perception):
-        pairs['perception'] = (eyes.implementation, row.perception)
-    return pairs
-
-
-def _of_controller(
-    told: RunFacts, row: RunRow, facts: Mapping[str, Any]
-) -> dict[str, tuple[Any, Any]]:
-    """The controller. A standing graph has its own."""
-    law, word = told.nodes.get('steering_controller'), facts.get('controller')
-    if law is None or word is None or f'-s{row.seed}-' not in row.run_id:
-        return {}
-    if word != STEERING:
-        known = law.fingerprint, str(facts.get('controller_sha256', ''))
-        return {'controller': ({known[0]}, {known[1]})} if known[1] else {}
-    usual = asdict(SteeringGains())
-    gains = {name: x for name, x in facts.get('gains', {}).items() if x != usual.get(name)}
-    if not is_steering_law(law.implementation) or law.fingerprint:
-        return {'controller': (law.implementation, STEERING)}
-    here = parse_gains(law.implementation)
-    return {
-        f'steering.{name}': (here.get(name, usual.get(name)), gains.get(name, usual.get(name)))
-        for name in dict.fromkeys([*here, *gains])
-    }
-
-
-def _of_world(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """The world; the default one is not recorded in a bag."""
-    world = told.nodes.get('simulator')
-    if WORLD not in facts:
-        return {}
-    here = (world.origin.partition(' of ')[0] or KMWH, world.fingerprint) if world else (KMWH, '')
-    there = recorded_world(facts)
-    return {'world': (here[0], there[0]), "world's package": ({here[1]}, {there[1]})}
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, set):
-        return next(iter(value), 'the truth')[:12]
-    return f'{value}'
 
 
 def check_same_run(

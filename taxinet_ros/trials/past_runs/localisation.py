@@ -7,7 +7,9 @@ the same command continues after an interrupt, also with more runs or other subs
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import functools
+import itertools
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from taxinet_ros.core.perception.substituted import (
     TRUTH_HEADING,
     parse_substitution,
 )
-from taxinet_ros.core.system import digest_of
+from taxinet_ros.core.system import System, digest_of
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -33,16 +35,11 @@ from taxinet_ros.trials.past_runs.recorded_campaign import (
     open_failed_campaign,
     spread_evenly,
 )
-from taxinet_ros.trials.past_runs.shared_scenes import Scene, system_of
-from taxinet_ros.trials.past_runs.trials import (
-    Task,
-    Trial,
-    TrialRecord,
-    TrialSystem,
-    run_trials,
-)
+from taxinet_ros.trials.past_runs.shared_scenes import Scene, system_of, trials_digest
+from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
 from taxinet_ros.trials.record.facts import recorded_world
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.worker_pool import Task
 
 DEFAULT_WORDS = (TRUTH, TRUTH_HEADING, TRUTH_CTE)
 MOST_WORKERS = 64
@@ -76,7 +73,7 @@ class LocalizeOptions:
         return len(self.rows) * len(self.words)
 
     @property
-    def system(self) -> TrialSystem:
+    def system(self) -> System:
         """The campaign's system."""
         return dataclasses.replace(system_of(self.campaign), perception=self.perception)
 
@@ -138,23 +135,34 @@ def localize(
 
     Raises:
         UsageError: the folder cannot be used, or contains trials of another campaign.
-        InfraError: a worker process died.
+        InfraError: worker processes end one after the other.
     """
-    keys = {
-        (row.run_id, word): f'{word} {row.run_id} {digest_of(row.scene)}'
+    system, judging = options.system, options.campaign.judging
+    rows = {row.run_id: row for row in options.rows}
+
+    @functools.cache
+    def scene(run_id: str) -> Scene:
+        scenario, exact = options.campaign.scenario(rows[run_id])
+        return Scene(row=rows[run_id], scenario=scenario, exact=exact)
+
+    def task(run_id: str, word: str) -> Task:
+        return scene(run_id).task(system, judging, word)
+
+    names = {
+        f'{word} {row.run_id} {digest_of(row.scene)}': (row.run_id, word)
         for row in options.rows for word in options.words
     }
-    system = options.system
-    settings = {**_facts(options.campaign), 'system': system.digest}
-    other = 'contains trials of another campaign or network'
-    with TrialRecord(options.out, settings, Trial, other) as record:
-        found = {name: record.done[key] for name, key in keys.items() if key in record.done}
-        on_trial(len(found))
-        for trial in run_trials(_tasks(options, found, interrupted), system, options.workers):
-            record.keep(keys[trial.run_id, trial.word], trial)
-            found[trial.run_id, trial.word] = trial
-            on_trial(len(found))
-        return found
+    settings = {**_facts(options.campaign), 'system': trials_digest(system, judging)}
+    with TrialRecord(options.out, settings, 'contains trials of another campaign or network') as (
+        record
+    ):
+        done = itertools.count(sum(key in record.done for key in names))
+        on_trial(next(done))
+        found = record.make(
+            {key: functools.partial(task, *name) for key, name in names.items()}, options.workers,
+            lambda: on_trial(next(done)), interrupted,
+        )
+        return {names[key]: trial for key, trial in found.items()}
 
 
 def _facts(campaign: RecordedCampaign) -> dict[str, Any]:
@@ -164,21 +172,6 @@ def _facts(campaign: RecordedCampaign) -> dict[str, Any]:
         **{name: campaign.facts.get(name) for name in names},
         'perception_sha256': campaign.counterexamples[0].fingerprint,
     }
-
-
-def _tasks(
-    options: LocalizeOptions, done: Trials, interrupted: Callable[[], bool]
-) -> Iterator[Task]:
-    for row in options.rows:
-        missing = [word for word in options.words if (row.run_id, word) not in done]
-        if not missing:
-            continue
-        scenario, exact = options.campaign.scenario(row)
-        scene = Scene(row=row, scenario=scenario, exact=exact)
-        for word in missing:
-            if interrupted():
-                return
-            yield scene.task(word)
 
 
 def _network(campaign: RecordedCampaign, given: str | None) -> str:

@@ -8,8 +8,9 @@ kept in a record: the same command continues after an interrupt, also with more 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
-from taxinet_ros.core.system import digest_of
+from taxinet_ros.core.system import System, digest_of
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
@@ -37,19 +38,14 @@ from taxinet_ros.trials.past_runs.recorded_campaign import (
     open_campaign,
     spread_evenly,
 )
-from taxinet_ros.trials.past_runs.trials import (
-    Task,
-    Trial,
-    TrialRecord,
-    TrialSystem,
-    run_trials,
-)
+from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
 from taxinet_ros.trials.rates import sample_size_was_fixed
 from taxinet_ros.trials.record.columns import rho_column, specs_of
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import read_any_table
 from taxinet_ros.trials.record.table import table as table_of
+from taxinet_ros.trials.worker_pool import Task
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,11 +62,12 @@ class Scene:
     scenario: Scenario
     exact: bool
 
-    def task(self, word: str = AS_RECORDED, gains: Mapping[str, float] | None = None) -> Task:
-        """The trial of this scene; arguments as of :class:`Task`."""
+    def task(self, system: System, judging: Judging, word: str = AS_RECORDED) -> Task:
+        """The trial of this scene; arguments as of :class:`.Task`."""
         return Task(
-            run_id=self.row.run_id, scenario=self.scenario, word=word, exact=self.exact,
-            seed=(self.row.seed, self.row.index), gains=gains,
+            run_id=self.row.run_id, index=self.row.index, program='', seed=self.row.seed,
+            scenario=self.scenario, judging=judging, participants=(), system=system, word=word,
+            exact=self.exact,
         )
 
 
@@ -81,17 +78,18 @@ class SceneSet:
     Attributes:
         source: where they come from, as text.
         scenes: the scenes, by index.
-        system: as in the recorded runs, with the truth in place of a network; the headline
-            requirement alone is judged.
+        system: as in the recorded runs, with the truth in place of a network.
+        judging: likewise, of the headline requirement alone.
         fixed: whether their number did not depend on any result.
     """
 
     source: str
     scenes: tuple[Scene, ...]
-    system: TrialSystem
+    system: System
+    judging: Judging
     fixed: bool = True
 
-    def system_with(self, network: str) -> TrialSystem:
+    def system_with(self, network: str) -> System:
         """The system with a network."""
         return dataclasses.replace(self.system, perception=network)
 
@@ -99,18 +97,23 @@ class SceneSet:
     def settings(self) -> dict[str, str]:
         """Digests of everything but the network that decides the results."""
         return {
-            'system': self.system.digest,
+            'system': trials_digest(self.system, self.judging),
             'scenes': digest_of([
                 [scene.row.run_id, repr(scene.scenario)] for scene in self.scenes
             ]),
         }
 
 
-def system_of(campaign: RecordedCampaign) -> TrialSystem:
+def trials_digest(system: System, judging: Judging) -> str:
+    """Digest of all that decides the result of a scene. Raises as that of :class:`.System`."""
+    return digest_of([system.digest, judging.facts()])
+
+
+def system_of(campaign: RecordedCampaign) -> System:
     """The system of a campaign, with the truth in place of its network."""
     world, package = recorded_world(campaign.facts)
-    return TrialSystem(
-        perception=GroundTruth.word, judging=campaign.judging, gains=dict(campaign.gains),
+    return System(
+        perception=GroundTruth.word, gains=dict(campaign.gains),
         controller=str(campaign.facts.get('controller', STEERING)),
         timing=parse_timing(campaign.timing), world=world, world_sha256=package,
     )
@@ -118,10 +121,6 @@ def system_of(campaign: RecordedCampaign) -> TrialSystem:
 
 def _headline(judging: Judging) -> Judging:
     return dataclasses.replace(judging, specs=judging.specs[:1])
-
-
-def _plain_system(judging: Judging) -> TrialSystem:
-    return TrialSystem(perception=GroundTruth.word, judging=_headline(judging))
 
 
 def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
@@ -161,7 +160,7 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
     outcomes = {row.index: row.outcome for row in campaign.rows}
     return SceneSet(
         source=str(path), scenes=tuple(scenes),
-        system=dataclasses.replace(system, judging=_headline(system.judging)),
+        system=system, judging=_headline(campaign.judging),
         fixed=sample_size_was_fixed(outcomes, campaign.planned_runs),
     )
 
@@ -188,7 +187,8 @@ def _of_table(path: Path, runs: int | None) -> SceneSet:
     ]
     return SceneSet(
         source=str(path), scenes=spread_evenly(scenes, runs),
-        system=_plain_system(Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',))),
+        system=System(perception=GroundTruth.word),
+        judging=Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',)),
         fixed=sample_size_was_fixed(outcomes, None),
     )
 
@@ -224,11 +224,11 @@ def _of_run(path: Path) -> SceneSet:
         raise UsageError(f'{path}: its verdict is not recorded')
     return SceneSet(
         source=str(path), scenes=(Scene(row=row, scenario=run.scenario, exact=True),),
-        system=TrialSystem(
-            perception=GroundTruth.word, judging=Judging(specs=run.specs[:1]),
-            gains=dict(run.gains), controller=run.controller, timing=run.timing, world=run.world,
-            world_sha256=run.world_fingerprint,
+        system=System(
+            perception=GroundTruth.word, gains=dict(run.gains), controller=run.controller,
+            timing=run.timing, world=run.world, world_sha256=run.world_fingerprint,
         ),
+        judging=Judging(specs=run.specs[:1]),
     )
 
 
@@ -266,10 +266,13 @@ def scenes_of_program(
                 **scenario.to_human(),
             )
             scenes.append(Scene(row=row, scenario=scenario, exact=True))
-    return SceneSet(source=program, scenes=tuple(scenes), system=_plain_system(judging))
+    return SceneSet(
+        source=program, scenes=tuple(scenes), system=System(perception=GroundTruth.word),
+        judging=_headline(judging),
+    )
 
 
-class SharedTrials(TrialRecord[Trial]):
+class SharedTrials(TrialRecord):
     """Runs of several networks on the same scenes, recorded in a folder. A context manager."""
 
     def __init__(self, scenes: SceneSet, out: Path) -> None:
@@ -278,7 +281,7 @@ class SharedTrials(TrialRecord[Trial]):
         Raises:
             UsageError: it contains something else, or another process uses it.
         """
-        super().__init__(out, scenes.settings, Trial, 'has runs of other scenes or settings')
+        super().__init__(out, scenes.settings, 'has runs of other scenes or settings')
         self.scenes = scenes
 
     def drive(
@@ -300,24 +303,15 @@ class SharedTrials(TrialRecord[Trial]):
 
         Raises:
             UsageError: there is no such network.
-            InfraError: a worker died.
+            InfraError: worker processes end one after the other.
         """
-        fingerprint, done = check_perception(network), self._results(network)
-
-        def tasks() -> Iterator[Task]:
-            for scene in self.scenes.scenes:
-                name = scene.row.run_id
-                if name in done or (wanted is not None and name not in wanted):
-                    continue
-                if interrupted():
-                    return
-                yield scene.task()
-
-        for trial in run_trials(tasks(), self.scenes.system_with(network), workers):
-            self.keep(f'{fingerprint} {trial.run_id}', trial)
-            done[trial.run_id] = trial
-            on_trial()
-        return done
+        fingerprint, system = check_perception(network), self.scenes.system_with(network)
+        self.make({
+            f'{fingerprint} {name}': partial(scene.task, system, self.scenes.judging)
+            for scene in self.scenes.scenes
+            if (name := scene.row.run_id) and (wanted is None or name in wanted)
+        }, workers, on_trial, interrupted)
+        return self._results(network)
 
     def _results(self, network: str) -> dict[str, Trial]:
         fingerprint, known = check_perception(network), self.done
@@ -328,12 +322,12 @@ class SharedTrials(TrialRecord[Trial]):
 
     def table(self, network: str) -> pd.DataFrame:
         """Results of a network as a campaign's table; runs that were not judged are in it too."""
-        return table_of(self.rows(network), (self.scenes.system.judging.headline,))
+        return table_of(self.rows(network), (self.scenes.judging.headline,))
 
     def rows(self, network: str) -> list[RunRow]:
         """Results of a network, by scene; runs that were not judged are among them."""
         fingerprint = check_perception(network)
-        spec = self.scenes.system.judging.headline
+        spec = self.scenes.judging.headline
         rows: list[RunRow] = []
         results = self._results(network)
         for place, scene in enumerate(self.scenes.scenes):

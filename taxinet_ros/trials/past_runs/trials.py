@@ -1,80 +1,34 @@
 """Trials: scenes run once more in the closed loop without ROS, in worker processes, and kept.
 
-A :class:`TrialSystem` is what drives, and by which requirements it is judged; a :class:`Task` is a
-scene to run; a :class:`Trial` is its result. A :class:`TrialRecord` keeps results in
-``campaign.db``, so a command that is run again makes only those that are missing.
+A :class:`.Task` is a scene to run, with what drives and the requirements; a :class:`Trial` is its
+result. A :class:`TrialRecord` keeps results in ``campaign.db``, so a command that is run again
+makes only those that are missing. A run that breaks, crashes or hangs is a trial without a verdict.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Self
 
-import cv2
-from threadpoolctl import threadpool_limits
-
-from taxinet_ros.core.assurance.switch import make_controller
-from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.perception.perception import Perception, make_perception
-from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.system import System, digest_of
-from taxinet_ros.core.user_code import UserCodeError
-from taxinet_ros.core.verdict.judge import Judgement
-from taxinet_ros.core.verdict.judging import Judging
-from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
-from taxinet_ros.core.world import find_world
-from taxinet_ros.errors import InfraError, UsageError, warn_once
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.errors import InfraError, InfraKind, UsageError, warn_once
 from taxinet_ros.files.record import RECORD_NAME, Record, plain, repair_record, repaired
-from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.trials.engine import run_search
+from taxinet_ros.trials.loop_worker import loop_worker_command
 from taxinet_ros.trials.options import make_out
+from taxinet_ros.trials.record.row import path_figures
+from taxinet_ros.trials.worker_pool import SILENCE_S, Task, WorkerPool
 
 SETTINGS, SITTING, TRIAL = 'settings', 'sitting', 'trial'
 """Kinds of the entries of a record of trials: settings, machine of each sitting, results."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrialSystem(System):
-    """A system, and how its trials are judged.
-
-    Attributes:
-        judging: judging options of the verdicts.
-    """
-
-    judging: Judging
-
-    @property
-    def digest(self) -> str:
-        """Digest of all that decides the result of a scene. Raises as that of :class:`System`."""
-        return digest_of([super().digest, self.judging.facts()])
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Task:
-    """One trial to run.
-
-    Attributes:
-        run_id: name of the run that is repeated.
-        scenario: its scene.
-        word: word of the substitution.
-        seed: seed of its noise: seed and index of the run, which also determine drawn latencies.
-        exact: whether the scene is bit-exact.
-        gains: steering gains in place of the system's, or None.
-    """
-
-    run_id: str
-    scenario: Scenario
-    word: str
-    seed: tuple[int, int]
-    exact: bool = True
-    gains: Mapping[str, float] | None = None
+_PATIENCE = 10
+"""Number of lost workers in a row after which a command ends."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -88,8 +42,8 @@ class Trial:
         detail: reason why it could not be judged.
         exact: whether its scene was bit-exact, so that it must reproduce the recorded result.
         robustness: robustness of the headline; exact unless the run was stopped early.
-        max_cross_track_m, settle_time_s, left_runway: statistics of the path, see
-            :class:`~taxinet_ros.core.verdict.run_statistics.RunStatistics`; None if unknown.
+        max_cross_track_m, settle_time_s, left_runway: as of :class:`.RunRow`; None if unknown.
+        seen: what the observer of the task saw.
     """
 
     run_id: str
@@ -101,6 +55,19 @@ class Trial:
     max_cross_track_m: float | None = None
     settle_time_s: float | None = None
     left_runway: bool | None = None
+    seen: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, task: Task, result: RunResult) -> Self:
+        """The trial of a task that has ended."""
+        judged = result.outcome.judged
+        return cls(
+            run_id=task.run_id, word=task.word, exact=task.exact,
+            passed=result.outcome is Outcome.PASS if judged else None,
+            detail='' if judged else f'{result.who}: {result.detail}',
+            robustness=next(iter(result.robustness.values()), None), **path_figures(result),
+            seen=result.seen,
+        )
 
     @property
     def judged(self) -> bool:
@@ -111,6 +78,8 @@ class Trial:
         """Plain values; the inverse of :meth:`from_json`."""
         values = asdict(self)
         values['rho_lower'], values['rho_upper'] = values.pop('robustness') or (None, None)
+        if not self.seen:
+            del values['seen']
         return values
 
     @classmethod
@@ -125,107 +94,63 @@ class Trial:
         return cls(**columns, robustness=None if None in ends else RobustnessInterval(*ends))
 
 
-# Running -----------------------------------------------------------------------------------------
+class TrialPool(contextlib.ExitStack):
+    """Worker processes that make trials, started when they are needed; a context manager."""
 
-
-@contextlib.contextmanager
-def trial_pool(
-    system: TrialSystem, workers: int
-) -> Iterator[Callable[[Iterable[Task]], Iterator[Trial]]]:
-    """Context of a function that runs trials in worker processes and yields them as they finish.
-
-    Its tasks are read only as fast as trials can run, so they may end on an interrupt; trials in
-    flight are still completed.
-
-    Raises:
-        InfraError: a worker process died.
-    """
-    with process_pool(workers, 'trial worker', _start_worker, system) as pool:
-        yield lambda tasks: pool.run_all(_trial, tasks, workers)
-
-
-def run_trials(tasks: Iterable[Task], system: TrialSystem, workers: int) -> Iterator[Trial]:
-    """Run trials as the function of :func:`trial_pool` does."""
-    with trial_pool(system, workers) as run:
-        yield from run(tasks)
-
-
-_worker: list[tuple[TrialSystem, Perception, Controller]] = []
-"""State of a worker process: system, network and controller."""
-
-
-def _start_worker(system: TrialSystem) -> None:
-    cv2.setNumThreads(1)  # the workers share the cores
-    threadpool_limits(limits=1)
-    controller = make_controller(system.controller, SteeringGains(**system.gains))
-    _worker.append((system, make_perception(system.perception), controller))
-
-
-def _trial(task: Task) -> Trial:
-    return make_trial(task, *_worker[0])
-
-
-def make_trial(
-    task: Task, system: TrialSystem, network: Perception, controller: Controller | None = None
-) -> Trial:
-    """Run one scene in this process; loads the system's controller if none is given."""
-    if controller is None or task.gains is not None:
-        gains = system.gains if task.gains is None else task.gains
-        controller = make_controller(system.controller, SteeringGains(**gains))
-    perception = substituted(parse_substitution(task.word), network, task.seed)
-    try:
-        judged = run_closed_loop(
-            task.scenario, perception, specs=system.judging.parsed_specs, controller=controller,
-            stop_on=system.judging.stop_on, assumptions=system.judging.assumptions,
-            timing=system.timing, draws=task.seed,
-            make_world=find_world(system.world, system.world_sha256).make,
+    def __init__(self, workers: int) -> None:
+        """``workers``: number of processes; no result depends on it."""
+        super().__init__()
+        logs = self.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-trials-'))
+        self._pool = self.enter_context(
+            WorkerPool(loop_worker_command(), workers, Path(logs), SILENCE_S)
         )
-    except (InfraError, UserCodeError) as error:
-        return _unjudged(task, str(error))
-    return _judged(task, judged)
+
+    def run(
+        self, tasks: Iterable[Task], take: Callable[[Trial], None],
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Make trials.
+
+        Args:
+            tasks: what to run; read only as fast as workers are free.
+            take: called with each trial as it ends.
+            interrupted: whether to start no more; those in flight end at their next step.
+
+        Raises:
+            UsageError: a system cannot be used.
+            InfraError: worker processes end one after the other.
+        """
+        run_search(_Trials(iter(tasks), take, interrupted), self._pool)
 
 
-def _judged(task: Task, judged: Judgement) -> Trial:
-    stopped, statistics = judged.stopped_early, judged.statistics
-    outcome = outcome_of(judged)
-    if not outcome.judged:
-        return _unjudged(task, 'a sample could not be judged')
-    settled = not stopped and not math.isnan(statistics.settle_time_s)
-    return Trial(
-        run_id=task.run_id, word=task.word, passed=outcome is Outcome.PASS, exact=task.exact,
-        robustness=judged.readings[0].interval,
-        max_cross_track_m=statistics.max_cross_track_m,
-        settle_time_s=statistics.settle_time_s if settled else None,
-        # After an early stop it is unknown whether the run would have left the runway.
-        left_runway=statistics.left_runway or (None if stopped else False),
-    )
+class _Trials:
+    """Tasks in their order, as what a pool of workers runs."""
 
-
-def _unjudged(task: Task, detail: str) -> Trial:
-    return Trial(
-        run_id=task.run_id, word=task.word, passed=None, detail=detail, exact=task.exact
-    )
-
-
-# Keeping -----------------------------------------------------------------------------------------
-
-
-class Result(Protocol):
-    """What a :class:`TrialRecord` keeps."""
+    def __init__(
+        self, tasks: Iterator[Task], take: Callable[[Trial], None],
+        interrupted: Callable[[], bool],
+    ) -> None:
+        self._tasks, self._take, self._interrupted = tasks, take, interrupted
+        self._lost = 0
 
     @property
-    def judged(self) -> bool:
-        """Whether it counts; another one is made again by the next sitting."""
+    def interrupted(self) -> bool:
+        return self._interrupted()
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+    def next(self) -> RunRequest | None:
+        return None if self.interrupted else next(self._tasks, None)
 
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """The inverse of :meth:`to_json`."""
-
-
-_R = TypeVar('_R', bound=Result)
+    def take(self, request: RunRequest, result: RunResult) -> None:
+        assert isinstance(request, Task)
+        if result.outcome is Outcome.INTERRUPTED:
+            return
+        self._take(Trial.of(request, result))
+        self._lost = self._lost + 1 if result.who == 'worker' else 0
+        if self._lost == _PATIENCE:
+            raise InfraError(
+                InfraKind(result.kind), f'{_PATIENCE} workers in a row', result.last_seq,
+                result.detail,
+            )
 
 
 def check_trials_folder(out: Path) -> None:
@@ -240,14 +165,14 @@ def check_trials_folder(out: Path) -> None:
         )
 
 
-class TrialRecord(Generic[_R]):
-    """Results kept in a folder, for one command at a time. A context manager.
+class TrialRecord:
+    """Trials kept in a folder, for one command at a time. A context manager.
 
     Attributes:
-        done: results by key: the judged ones of earlier sittings, and all of this one.
+        done: trials by key: the judged ones of earlier sittings, and all of this one.
     """
 
-    def __init__(self, out: Path, settings: Mapping[str, Any], kind: type[_R], other: str) -> None:
+    def __init__(self, out: Path, settings: Mapping[str, Any], other: str) -> None:
         """Open or create the record in ``out``.
 
         What a damaged record has lost is made again.
@@ -255,7 +180,6 @@ class TrialRecord(Generic[_R]):
         Args:
             out: the folder.
             settings: plain values of everything that results depend on besides their keys.
-            kind: class of the results.
             other: what a folder with other settings has, for the error message.
 
         Raises:
@@ -272,9 +196,10 @@ class TrialRecord(Generic[_R]):
             raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error
         if damaged:
             warn_once(damaged)
+        self._pool: TrialPool | None = None
         try:
             self._begin(f'--out {out}: {other}; choose another folder', settings)
-            self.done = self._earlier(kind)
+            self.done = self._earlier()
         except BaseException:
             self._record.close()
             raise
@@ -291,32 +216,70 @@ class TrialRecord(Generic[_R]):
             ])
         repaired(self._record)
 
-    def _earlier(self, kind: type[_R]) -> dict[str, _R]:
+    def _earlier(self) -> dict[str, Trial]:
         found = {}
         for key, values in self._record.entries.get(TRIAL, {}).items():
             try:
-                result = kind.from_json(values)
+                trial = Trial.from_json(values)
             except (LookupError, TypeError, ValueError) as error:
                 raise UsageError(
                     f'{self._record.path}: trial {key!r} is of another version ({error}); choose '
                     'another --out'
                 ) from error
-            if result.judged:
-                found[key] = result
+            if trial.judged:
+                found[key] = trial
         return found
 
-    def keep(self, key: str, result: _R) -> None:
-        """Write a result to the disk.
+    def make(
+        self, wanted: Mapping[str, Callable[[], Task]], workers: int,
+        on_trial: Callable[[], None] = lambda: None,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> dict[str, Trial]:
+        """Make those of the trials that are missing.
+
+        Args:
+            wanted: by key what makes the task, called when a worker is free.
+            workers: number of processes; no result depends on it.
+            on_trial: called after each trial, when it is on the disk.
+            interrupted: whether to start no more.
+
+        Returns:
+            The trials by key; after an interrupt some are missing.
 
         Raises:
-            OSError: it cannot be written, as on a full disk.
+            UsageError: a system cannot be used.
+            InfraError: worker processes end one after the other.
+            OSError: a trial cannot be written, as on a full disk.
             RecordError: the folder was moved, deleted or replaced.
         """
-        self._record.put(TRIAL, key, result.to_json())
-        self.done[key] = result
+        missing = {key: make for key, make in wanted.items() if key not in self.done}
+        keys: dict[tuple[str, str], str] = {}
+
+        def tasks() -> Iterator[Task]:
+            for key, make in missing.items():
+                task = make()
+                keys[task.run_id, task.word] = key
+                yield task
+
+        def keep(trial: Trial) -> None:
+            self.keep(keys[trial.run_id, trial.word], trial)
+            on_trial()
+
+        if missing:
+            if self._pool is None:
+                self._pool = TrialPool(workers)
+            self._pool.run(tasks(), keep, interrupted)
+        return {key: self.done[key] for key in wanted if key in self.done}
+
+    def keep(self, key: str, trial: Trial) -> None:
+        """Write a trial to the disk. Raises as :meth:`make`."""
+        self._record.put(TRIAL, key, trial.to_json())
+        self.done[key] = trial
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.close()
         self._record.close()

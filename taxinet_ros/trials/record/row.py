@@ -337,6 +337,18 @@ NEEDED = tuple(name for name in _NAMES if name not in DEFAULTS)
 """Attributes that every entry has."""
 
 
+def path_figures(result: RunResult) -> dict[str, Any]:
+    """Columns of the true path, see :class:`RunRow`; none unless the run was judged."""
+    statistics, stopped = result.statistics, result.stopped_early
+    if statistics is None:
+        return {}
+    return {
+        'left_runway': statistics.left_runway or (None if stopped else False),
+        'max_cross_track_m': statistics.max_cross_track_m,
+        'settle_time_s': None if stopped else _known(statistics.settle_time_s),
+    }
+
+
 def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
     """Columns from a judged run's figures; missing ones are None, never NaN."""
     statistics, stopped = result.statistics, result.stopped_early
@@ -346,9 +358,7 @@ def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
     return {
         'stopped_early': stopped,
         'stopped_s': sim_s if stopped else None,
-        'left_runway': statistics.left_runway or (None if stopped else False),
-        'max_cross_track_m': statistics.max_cross_track_m,
-        'settle_time_s': None if stopped else _known(statistics.settle_time_s),
+        **path_figures(result),
         'cte_error_mean_m': _known(cte.mean),
         'cte_error_mean_abs_m': _known(cte.mean_abs),
         'cte_error_max_abs_m': _known(cte.max_abs),

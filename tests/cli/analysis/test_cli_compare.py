@@ -102,7 +102,7 @@ def test_given_a_subset_of_a_tables_scenes_then_it_is_spread_and_as_good_as_fixe
     scenes = scenes_of(BAGS / 's_falsif_original_4000.parquet', 5)
     assert [scene.row.index for scene in scenes.scenes] == [400, 1200, 2000, 2800, 3600]
     assert scenes.fixed
-    assert scenes.system.judging.specs == (
+    assert scenes.judging.specs == (
         'phi_eventually=eventually[0:10](always(abs(cte) <= 1.5))',)
     table = pd.read_parquet(BAGS / 's_falsif_original_4000.parquet').set_index('index')
     for scene in scenes.scenes:

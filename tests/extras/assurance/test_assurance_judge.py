@@ -275,6 +275,27 @@ def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_a
         JudgeOptions(**judging, out=out)
 
 
+def test_given_a_monitor_that_ends_its_process_then_that_scene_is_left_out_by_name(
+    tmp_path, judging, capsys
+):
+    (tmp_path / 'mon.py').write_text(
+        'import os, pathlib\n'
+        'def low(seen):\n'
+        "    once = pathlib.Path(__file__).with_name('once')\n"
+        '    if not once.exists():\n'
+        '        once.touch()\n'
+        '        os._exit(7)\n'
+        '    return seen.image.mean() * 1e-9\n'
+    )
+    options, why = JudgeOptions(**judging, out=tmp_path / 'out'), 'scene 0, without: worker: exit'
+    assert run_judge(options, as_json=False) == 3
+    assert f'left out, not judged: {why} code 7' in capsys.readouterr().out
+    kept = json.loads((tmp_path / 'out' / 'assurance.json').read_text())['judged']
+    assert (kept['runs'], kept['unjudged']) == (1, [f'{why} code 7'])
+    assert len((tmp_path / 'out' / 'trials.csv').read_text().splitlines()) == 4
+    assert run_judge(options, as_json=False) == 0, 'what was lost is made'
+
+
 def test_given_a_recorded_run_then_its_monitor_says_the_same_again(tmp_path, capsys):
     (tmp_path / 'mon.py').write_text(
         'def far(seen):\n    return abs(seen.estimate.cte_m) / 0.9 + seen.image.mean() * 1e-9\n'

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 from campaign_records import write_campaign
 
@@ -16,7 +14,9 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.perception.weights import SHIPPED, load_card
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.extras.assurance import judge as judging
+from taxinet_ros.trials.past_runs.trials import Trial, TrialPool
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.worker_pool import Task
 
 PROGRAM = '# --- planted.scenic ---\nmodel runway_world\n# --- runway_world.scenic ---\nego = 1\n'
 SHA = {
@@ -80,35 +80,34 @@ def planted(
     return write_campaign(folder, rows, told, begun=begun, ended=finished)
 
 
-def trial(
-    scene: int, fallback: str = 'without', *, satisfied: bool = True, alarm_s: float = math.nan
-) -> judging.Trial:
+def trial(task: Task, *, satisfied: bool, alarm_s: float | None) -> Trial:
     """A run of a monitor's judgement."""
-    return judging.Trial(
-        scene=scene, fallback=fallback, satisfied=satisfied, rho_m=1.0 if satisfied else -1.5,
-        left_runway=False, duration_s=30.0, due_s=math.nan if satisfied else 12.0, reached=True,
-        off_s=math.nan, alarm_s=alarm_s, reason='' if math.isnan(alarm_s) else 'unseen',
+    return Trial(
+        run_id=task.run_id, word=task.word, passed=satisfied, left_runway=False,
+        robustness=RobustnessInterval.exactly(1.0 if satisfied else -1.5), seen={
+            'duration_s': 30.0, 'due_s': None if satisfied else 12.0, 'reached': True,
+            'off_s': None, 'alarm_s': alarm_s, 'reason': 'unseen' if alarm_s else '',
+            'alarms_s': [alarm_s] * len(judging.FACTORS),
+        },
     )
 
 
 def judged_monitor(folder: Path, perception: str = 'original', monitor: str = 'original') -> Path:
     """What the command itself writes of three scenes whose runs are made up."""
-    runs = [
-        (trial(0), trial(0, 'stop')), (trial(1, satisfied=False, alarm_s=11.0), trial(1, 'stop')),
-        (trial(2, satisfied=False, alarm_s=13.0),
-         trial(2, 'stop', satisfied=False, alarm_s=13.0)),
-    ]
-    driven = [
-        judging.Driven(trials=one, alarms_s=np.full(len(judging.FACTORS), one[0].alarm_s))
-        for one in runs
-    ]
+    alarms_s = [None, 11.0, 13.0]
+
+    def run(pool, tasks, take, interrupted) -> None:
+        for task in tasks:
+            satisfied = task.index == 0 or (task.index == 1 and task.run_id.endswith('-stop'))
+            take(trial(task, satisfied=satisfied, alarm_s=alarms_s[task.index]))
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(judging, 'draw_scenes', lambda *_, **__: [
-            tx.Scenario(cross_track_m=float(number)) for number in range(len(runs))
+            tx.Scenario(cross_track_m=float(number)) for number in range(len(alarms_s))
         ])
-        patch.setattr(judging, '_runs', lambda *_: iter(driven))
+        patch.setattr(TrialPool, 'run', run)
         judging.judge(judging.JudgeOptions(
             program='s_falsif', perception=perception, controller='steering', monitor=monitor,
-            fallbacks=('stop',), runs=len(runs), seed=4, workers=1, out=folder,
+            fallbacks=('stop',), runs=len(alarms_s), seed=4, workers=1, out=folder,
         ), lambda *_: None)
     return folder

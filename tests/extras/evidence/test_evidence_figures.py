@@ -254,7 +254,7 @@ def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tm
     ('trials.csv', b'0,without,True', b'0,without,False', 'is not the file recorded in assurance'),
     ('alarms.csv', b'11.0', b'11.1', 'is not the file recorded in assurance'),
     ('assurance.json', b'"in_time": 1', b'"in_time": 2', 'its checksum differs'),
-    ('campaign.db', b'"scene":1', b'"scene":3', 'damaged'),
+    ('campaign.db', b'"run_id":"000001', b'"run_id":"000003', 'damaged'),
     ('trials.csv', None, None, 'is missing, but listed in assurance.json'),
     ('assurance.json', None, None, 'no results of taxinet assure judge: assurance.json is not'),
 ])

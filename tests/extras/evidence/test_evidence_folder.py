@@ -21,6 +21,7 @@ from taxinet_ros.extras.evidence.argument import goals, mermaid, parse_argument
 from taxinet_ros.extras.evidence.evidence import manifest_text
 from taxinet_ros.extras.evidence.verify import value_differences, verify
 from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.past_runs.localisation import make_localize_options
 from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.trials.record.content import BEGUN, run_key
@@ -153,9 +154,8 @@ def test_given_evidence_of_real_runs_when_verified_then_all_holds_and_runs_repea
     assert found.checked['runs driven again, equal to the bit'] == 2
     assert found.checked['values computed again'] > 200
     assert found.notes == []
-    options = verifying._loop_options
-    monkeypatch.setattr(verifying, '_loop_options', lambda *given: dataclasses.replace(
-        options(*given), gains={'heading_gain': 1.0}))
+    monkeypatch.setattr(verifying, 'Loop', lambda system, *given: Loop(
+        dataclasses.replace(system, gains={'heading_gain': 1.0}), *given))
     other = verified(proven, sample=2, seed=1)
     assert other.code == ExitCode.INFRA
     assert 'driven again: ' in other.different[0]

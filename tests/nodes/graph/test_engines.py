@@ -18,6 +18,7 @@ from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_latency
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.rig.catalogue import load_aircraft, load_camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.system import System
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -25,7 +26,7 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.trials.audit import bag_difference, result_difference
-from taxinet_ros.trials.loop_run import Loop, LoopOptions
+from taxinet_ros.trials.loop_run import Loop
 
 pytestmark = pytest.mark.ros
 
@@ -79,11 +80,12 @@ def check_same(
     )
     theirs = run_in(composed_graph(graph), *asked)
     (tmp_path / 'loop').mkdir()
-    loop = Loop(LoopOptions(
-        perception=perception, controller=controller, out=tmp_path / 'loop', gains=gains or {},
-        controller_sha256=check_controller(controller), timing=timing, images=images, world=world,
+    system = System(
+        perception=perception, controller=controller, gains=gains or {},
+        controller_sha256=check_controller(controller), timing=timing, world=world,
         world_sha256=find_world(world).fingerprint,
-    ))
+    )
+    loop = Loop(system, tmp_path / 'loop', images)
     ours = [loop.run(one) for one in asked]
     for one, mine, other in zip(asked, ours, theirs, strict=True):
         bags = tmp_path / 'loop' / one.run_id, tmp_path / 'graph' / one.run_id
@@ -243,10 +245,7 @@ def test_given_a_sample_that_cannot_be_judged_then_both_engines_say_so_alike(tmp
 
 
 def test_given_an_interrupt_then_the_run_ends_at_its_next_step_and_its_bag_is_complete(tmp_path):
-    loop = Loop(LoopOptions(
-        perception='truth', controller='steering', out=tmp_path, gains={}, controller_sha256='',
-        timing=AT_ONCE, images='none', world='kmwh', world_sha256='',
-    ))
+    loop = Loop(System(perception='truth'), tmp_path)
 
     def stop(seq: int) -> None:
         loop.interrupted = seq == 12

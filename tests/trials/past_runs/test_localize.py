@@ -12,14 +12,23 @@ from pathlib import Path
 import pytest
 from campaign_records import write_campaign
 
-from taxinet_ros.analysis.fault_localisation import Blame, Suffices, judge_case
-from taxinet_ros.core.perception.perception import check_perception, make_perception
+from taxinet_ros.analysis.fault_localisation import (
+    Blame,
+    Suffices,
+    judge_case,
+    localisation,
+    localisation_sentences,
+)
+from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record, read_record
+from taxinet_ros.trials.loop_run import Loop
+from taxinet_ros.trials.past_runs import trials as kept
 from taxinet_ros.trials.past_runs.localisation import localize, make_localize_options
 from taxinet_ros.trials.past_runs.recorded_campaign import (
     open_campaign,
@@ -31,8 +40,6 @@ from taxinet_ros.trials.past_runs.shared_scenes import Scene
 from taxinet_ros.trials.past_runs.trials import (
     Trial,
     TrialRecord,
-    TrialSystem,
-    make_trial,
 )
 from taxinet_ros.trials.record.row import RunRow
 
@@ -65,12 +72,11 @@ def failed_campaign(
     gains: Mapping[str, float] = LOCKED,
 ) -> list[RunRow]:
     """Run scenes as they are, and write the record of a campaign of them."""
-    system = TrialSystem(perception=perception, judging=JUDGING, gains=gains)
-    network = make_perception(perception)
-    rows = []
+    system, loop, rows = System(perception=perception, gains=gains), Loop(), []
     for index, scene in enumerate(scenes):
         row = row_of(scene, index, perception)
-        trial = make_trial(Scene(row=row, scenario=scene, exact=True).task(), system, network)
+        task = Scene(row=row, scenario=scene, exact=True).task(system, JUDGING)
+        trial = Trial.of(task, loop.run(task))
         rows.append(dataclasses.replace(
             row, outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
             robustness={SPEC: trial.robustness}, stopped_early=False,
@@ -125,11 +131,10 @@ def test_given_a_nose_wheel_that_never_turns_then_the_truth_fails_too_and_the_la
     tmp_path,
 ):
     (row,) = failed_campaign(tmp_path / 'c', OFF[:1], perception='original')
-    system = TrialSystem(perception='original', judging=JUDGING, gains=LOCKED)
-    network, scene = make_perception('original'), Scene(row=row, scenario=OFF[0], exact=True)
-    trials = {
-        word: make_trial(scene.task(word), system, network) for word in (AS_RECORDED, 'truth')
-    }
+    system, loop = System(perception='original', gains=LOCKED), Loop()
+    scene = Scene(row=row, scenario=OFF[0], exact=True)
+    tasks = [scene.task(system, JUDGING, word) for word in (AS_RECORDED, 'truth')]
+    trials = {task.word: Trial.of(task, loop.run(task)) for task in tasks}
     assert judge_case(row, trials).blame is Blame.CONTROLLER
 
 
@@ -191,13 +196,77 @@ def test_given_a_run_that_cannot_be_judged_then_it_is_kept_and_repeated_by_the_n
 ):
     settings = {'of': 'a test'}
     broken = Trial(run_id='a', word='truth', passed=None, detail='no image')
-    with TrialRecord(tmp_path, settings, Trial, 'other') as record:
+    with TrialRecord(tmp_path, settings, 'other') as record:
         record.keep('a', broken)
         record.keep('b', dataclasses.replace(broken, passed=True))
         assert set(record.done) == {'a', 'b'}
-    with TrialRecord(tmp_path, settings, Trial, 'other') as record:
+    with TrialRecord(tmp_path, settings, 'other') as record:
         assert set(record.done) == {'b'}
     assert set(read_record(tmp_path / RECORD_NAME)['trial']) == {'a', 'b'}
+
+
+EYES = """
+import os, pathlib, time
+
+class Eyes:
+    def __init__(self):
+        self.frames = 0
+
+    def __call__(self, frame):
+        self.frames += 1
+        how = pathlib.Path(__file__).with_name('how')
+        if self.frames == 125 and how.exists():
+            os._exit(7) if how.read_text() == 'dies' else time.sleep(60)
+        return 0.0, 0.0
+"""
+
+
+@pytest.mark.parametrize(('how', 'why'), [
+    ('dies', 'worker: exit code 7'),
+    pytest.param('hangs', 'worker: silent for 20 s', marks=pytest.mark.nightly),
+])
+def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alone_are_lost(
+    how, why, tmp_path, monkeypatch,
+):
+    monkeypatch.setattr(kept, 'SILENCE_S', 20.0)
+    (tmp_path / 'eyes.py').write_text(EYES)
+    # Only the second scene has as many frames.
+    scenes = [OFF[0], dataclasses.replace(OFF[1], duration_s=13.0), OFF[2]]
+    rows = failed_campaign(tmp_path / 'c', scenes, perception=f'{tmp_path}/eyes.py:Eyes')
+    asked = options(tmp_path / 'c', tmp_path / 'out', words=['truth', 'truth-cte'], workers=2)
+    (tmp_path / 'how').write_text(how)
+    done = localize(asked, ignore, never)
+    lost = {('run-1', AS_RECORDED), ('run-1', 'truth-cte')}
+    assert len(done) == 9
+    assert {name for name, trial in done.items() if not trial.judged} == lost
+    assert {done[name].detail for name in lost} == {why}
+    found = localisation(
+        asked.campaign, rows, done, words=asked.words, perception=asked.perception)
+    assert [case.blame for case in found.cases] == [
+        Blame.CONTROLLER, Blame.UNKNOWN, Blame.CONTROLLER]
+    told = ' '.join(localisation_sentences(found))
+    assert f'2 trials could not be judged and count as unknown: run-1 as-recorded ({why})' in told
+    # What is done is kept, and what was lost is made once it can be.
+    (tmp_path / 'how').unlink()
+    counts: list[int] = []
+    whole = localize(asked, counts.append, never)
+    assert counts == [7, 8, 9]
+    assert {name: whole[name] for name in done if name not in lost} == {
+        name: done[name] for name in done if name not in lost}
+    assert all(trial.judged for trial in whole.values())
+
+
+def test_given_workers_that_end_one_after_the_other_then_the_command_does_too(
+    off, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(kept, '_PATIENCE', 2)
+    (tmp_path / 'eyes.py').write_text('import os\ndef eyes(frame):\n    os._exit(7)\n')
+    asked = dataclasses.replace(
+        options(off, tmp_path / 'out', words=['truth-cte']),
+        perception=f'{tmp_path}/eyes.py:eyes')
+    with pytest.raises(InfraError, match=r'2 workers in a row.* exit code 7'):
+        localize(asked, ignore, never)
+    assert len(read_record(tmp_path / 'out' / RECORD_NAME)['trial']) == 2
 
 
 @pytest.mark.parametrize(('campaign', 'changes', 'words'), [
