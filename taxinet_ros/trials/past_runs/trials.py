@@ -258,6 +258,7 @@ class TrialRecord:
         def tasks() -> Iterator[Task]:
             for key, make in missing.items():
                 task = make()
+                assert (task.run_id, task.word) not in keys, 'two trials of one name'
                 keys[task.run_id, task.word] = key
                 yield task
 
