@@ -15,6 +15,7 @@ from taxinet_ros.bag.run.facts import made_on
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.provenance import COMMIT
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.audit import bag_difference, is_audited, result_difference
@@ -36,8 +37,9 @@ def test_given_a_share_then_one_run_in_every_so_many_is_audited_and_the_first(pe
     (None, 1.0), ('0', 0.0), ('0.5', 0.5), ('2 %', 2.0), ('100%', 100.0),
 ])
 def test_given_a_percentage_then_it_is_read(text, percent):
-    assert check_engine('loop', text, 'truth', 'steering', {}) == percent
-    assert check_engine('graph', None, 'external', 'cmd:mine', {}) == 0.0
+    assert check_engine('loop', text, System(perception='truth')) == percent
+    elsewhere = System(perception='external', controller='cmd:mine')
+    assert check_engine('graph', None, elsewhere) == 0.0
 
 
 @pytest.mark.parametrize(('words', 'said'), [
@@ -50,8 +52,9 @@ def test_given_a_percentage_then_it_is_read(text, percent):
     (('loop', None, 'truth', 'cmd:mine --fast'), '--engine loop: controller cmd:mine --fast is a'),
 ])
 def test_given_what_the_engine_cannot_do_then_it_is_refused_by_name(words, said):
+    engine, audit, perception, controller = words
     with pytest.raises(UsageError, match=said):
-        check_engine(*words, {})
+        check_engine(engine, audit, System(perception=perception, controller=controller))
 
 
 @pytest.fixture(scope='module')

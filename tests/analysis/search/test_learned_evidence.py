@@ -18,10 +18,11 @@ def run(weight, *, x=0.1, refused=0, outcome=Outcome.FAIL, **point):
 
 
 def search(*rows, sampler='ce', soft=False, **options):
-    return SimpleNamespace(
-        rows=rows, space=SimpleNamespace(searched=SEARCHED, soft=soft),
-        options=SimpleNamespace(sampler=sampler, sampler_options=options),
+    proposer = SimpleNamespace(
+        space=SimpleNamespace(searched=SEARCHED, soft=soft), sampler=sampler,
+        sampler_options=options,
     )
+    return SimpleNamespace(rows=rows, proposer=proposer)
 
 
 def test_given_failures_then_weights_and_their_squares_are_summed_by_bin():

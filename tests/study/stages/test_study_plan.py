@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ from taxinet_ros.study.stages.plan import (
     weights_of,
 )
 from taxinet_ros.study.stages.stage import with_engine
+from taxinet_ros.trials.search import Search
 
 SHIPPED = read_config(shipped_config())
 FOUND = {stage.name: stage for stage in stages(SHIPPED)}
@@ -54,7 +56,7 @@ def test_given_a_stage_then_its_function_has_the_options_of_its_command(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr('taxinet_ros.cli.run.commands._start_scenic', lambda: None)
     monkeypatch.setattr('taxinet_ros.cli.run.search.run_falsify',
-                        lambda options, **_: asked.append(options) or 0)
+                        lambda search, **_: asked.append(asked_of(search)) or 0)
     monkeypatch.setattr('taxinet_ros.cli.training.train.run_train', asked.append)
     stage, = with_engine([FOUND[name]], 'loop', '5')
     if stage.command == 'falsify':  # with a network that is there
@@ -62,6 +64,11 @@ def test_given_a_stage_then_its_function_has_the_options_of_its_command(
     assert call_stage(stage, False) == 0
     app(list(stage.words()))
     assert asked[0] == asked[1]
+
+
+def asked_of(search):
+    """All that a search was made from."""
+    return [vars(search)[name] for name in signature(Search).parameters]
 
 
 def test_given_the_stages_then_each_stands_after_what_it_needs():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import http.server
 import socket
@@ -122,7 +123,11 @@ def test_given_a_worker_then_it_is_checked_and_its_child_lives_as_long_as_the_ch
     )
 
     def children() -> list[psutil.Process]:
-        return [one for one in psutil.Process().children() if 'toy_worker' in str(one.cmdline())]
+        found = []
+        for one in psutil.Process().children():
+            with contextlib.suppress(psutil.Error):  # it has just ended
+                found += [one] * ('toy_worker' in str(one.cmdline()))
+        return found
 
     with connection('local:1', print) as client:
         def checked(here: dict[str, str], probe: Path) -> distributed.Future:
