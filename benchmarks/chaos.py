@@ -110,7 +110,7 @@ SUBJECTS: Mapping[str, Subject] = {
     'run': Subject(words=('run', 'nominal', '--runs', '5', '--processes', *_RUN), runs=5,
                    resumable=False),
     'shrink': Subject(
-        words=('shrink', '../of/s_falsif-s0-00000', '--workers', '2', '--engine', 'loop'), runs=8,
+        words=('shrink', '../of/s_falsif-s0-00000', '--engine', 'loop'), runs=8,
         of=_FAILING,
     ),
     'localize': Subject(

@@ -27,6 +27,8 @@ from taxinet_ros.trials.worker_pool import SILENCE_S, Task, WorkerPool
 
 SETTINGS, SITTING, TRIAL = 'settings', 'sitting', 'trial'
 """Kinds of the entries of a record of trials: settings, machine of each sitting, results."""
+_SPARE = 'settings_spare'
+"""Kind of a second entry of the settings, without which no trial counts."""
 _PATIENCE = 10
 """Number of lost workers in a row after which a command ends."""
 
@@ -206,13 +208,18 @@ class TrialRecord:
 
     def _begin(self, refusal: str, settings: Mapping[str, Any]) -> None:
         entries, made_on = self._record.entries, dict(provenance())
-        if entries and entries.get(SETTINGS, {}).get('') != plain(settings):
+        recorded = entries.get(SETTINGS, {}).get('', entries.get(_SPARE, {}).get(''))
+        if recorded is None:  # lost by damage: nothing says of what the trials are
+            self._record.remove(TRIAL)
+            entries.pop(TRIAL, None)
+        elif recorded != plain(settings):
             raise UsageError(refusal)
         sittings = entries.get(SITTING, {})
         last = max(sittings, default='0')
-        if not sittings or sittings[last] != made_on:
+        if not sittings or sittings[last] != made_on or recorded is None:
             self._record.put_all([
-                (SETTINGS, '', settings), (SITTING, f'{int(last) + 1:04}', made_on)
+                (SETTINGS, '', settings), (SITTING, f'{int(last) + 1:04}', made_on),
+                (_SPARE, '', settings),
             ])
         repaired(self._record)
 
@@ -280,7 +287,9 @@ class TrialRecord:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.close()
-        self._record.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with contextlib.closing(self._record):
+            if self._pool is not None:
+                self._pool.close()
+            if kind is None:
+                self._record.check_in_place()

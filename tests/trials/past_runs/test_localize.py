@@ -25,7 +25,7 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, RecordError, UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record, read_record
 from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.past_runs import trials as kept
@@ -203,6 +203,28 @@ def test_given_a_run_that_cannot_be_judged_then_it_is_kept_and_repeated_by_the_n
     with TrialRecord(tmp_path, settings, 'other') as record:
         assert set(record.done) == {'b'}
     assert set(read_record(tmp_path / RECORD_NAME)['trial']) == {'a', 'b'}
+
+
+def test_given_settings_that_were_lost_then_a_copy_counts_and_without_it_no_trial_does(tmp_path):
+    settings = {'of': 'a test'}
+    with TrialRecord(tmp_path, settings, 'other') as record:
+        record.keep('a', Trial(run_id='a', word='truth', passed=True))
+    for lost, left in (('settings',), {'a'}), (('settings', 'settings_spare'), set()):
+        with Record(tmp_path / RECORD_NAME) as damaged:
+            for kind in lost:
+                damaged.remove(kind)
+        with TrialRecord(tmp_path, settings, 'other') as record:
+            assert set(record.done) == left
+    with pytest.raises(UsageError, match='other; choose another folder'):
+        TrialRecord(tmp_path, {'of': 'another'}, 'other')
+
+
+def test_given_a_folder_that_is_moved_after_the_last_trial_then_it_is_named(tmp_path):
+    out = tmp_path / 'out'
+    with pytest.raises(RecordError, match='was moved, deleted or replaced'), \
+            TrialRecord(out, {}, 'other') as record:
+        record.keep('a', Trial(run_id='a', word='truth', passed=True))
+        out.rename(tmp_path / 'elsewhere')
 
 
 EYES = """
