@@ -221,10 +221,11 @@ def test_given_settings_that_were_lost_then_a_copy_counts_and_without_it_no_tria
 
 def test_given_a_folder_that_is_moved_after_the_last_trial_then_it_is_named(tmp_path):
     out = tmp_path / 'out'
-    with pytest.raises(RecordError, match='was moved, deleted or replaced'), \
-            TrialRecord(out, {}, 'other') as record:
-        record.keep('a', Trial(run_id='a', word='truth', passed=True))
-        out.rename(tmp_path / 'elsewhere')
+    record = TrialRecord(out, {}, 'other')
+    record.keep('a', Trial(run_id='a', word='truth', passed=True))
+    out.rename(tmp_path / 'elsewhere')
+    with pytest.raises(RecordError, match='was moved, deleted or replaced'):
+        record.__exit__(None)
 
 
 EYES = """
