@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import re
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -129,6 +130,10 @@ USAGE = Usage(
 )
 
 
+_SETTLED_S, _RECORDER_S = 0.7, 3.0
+"""Times before the first run [s]: since the recorder was found, and at most, without it."""
+
+
 class StandaloneSampler(ScenarioSampler):
     """The sampler with the options of ``taxinet run`` and ``taxinet falsify`` as parameters.
 
@@ -150,6 +155,7 @@ class StandaloneSampler(ScenarioSampler):
         self.create_subscription(NodeStatus, topic.name, self._on_death_notice, topic.qos)
         self.create_subscription(NodeStatus, status.name, self._on_status, status.qos)
         self.bags = ''
+        self._found_s = 0.0
         given = declare_all(self, _OPTIONS)
         self.participants = tuple(given['participants'])
         check_participants(self.participants)
@@ -182,6 +188,20 @@ class StandaloneSampler(ScenarioSampler):
         """The simulator, if not found; see :class:`.node_main.Waiting`."""
         asked = self._request is not None and not self._last_heard
         return [interface.SIMULATOR] if asked else []
+
+    def _may_ask(self) -> bool:
+        """Also let the recorder find this node: when it is ready, it says where the bags are."""
+        if not super()._may_ask():
+            return False
+        if self.bags or interface.RECORDER not in self.participants:
+            return True
+        now = time.monotonic()
+        ends = self.get_publishers_info_by_topic(interface.NODE_STATUS.name)
+        if not self._found_s and interface.RECORDER in {end.node_name for end in ends}:
+            self._found_s = now
+        # This node has found the recorder a moment before the recorder has found this node.
+        settled = self._found_s and now - self._found_s > _SETTLED_S
+        return bool(settled) or now - self._asked > _RECORDER_S
 
     def rivals(self) -> int:
         """Number of other samplers found in this graph."""
