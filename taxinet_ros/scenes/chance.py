@@ -163,7 +163,7 @@ def _another_day() -> list[bool]:
         def utcnow(cls) -> Later:
             return cls.utcfromtimestamp(time.time())
 
-    datetime.datetime = Later  # type: ignore[misc]
+    datetime.datetime = Later  # type: ignore[misc]  # for whoever imports it later
     asked: list[bool] = []
     entropy = os.urandom
 
@@ -171,7 +171,7 @@ def _another_day() -> list[bool]:
         asked.append(True)
         return entropy(size)
 
-    os.urandom = random._urandom = urandom  # type: ignore[attr-defined]
+    os.urandom = random._urandom = urandom  # type: ignore[attr-defined]  # not in stubs
     return asked
 
 

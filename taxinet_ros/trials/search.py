@@ -61,8 +61,7 @@ from taxinet_ros.trials.record.facts import (
 from taxinet_ros.trials.record.resumption import (
     UNKNOWN_TO_SAMPLER,
     facts_of_graph,
-    runs_to_repeat,
-    unknown_to_sampler,
+    unfinished_search,
 )
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY
@@ -260,9 +259,8 @@ class Search(Proposer):
     def resume(self, content: CampaignContent) -> tuple[Mapping[int, RunRow], Mapping[str, Any]]:
         """See :class:`.Proposer`."""
         lag, runs = self._recorded_lag, self.campaign.runs
-        unknown = unknown_to_sampler(content, lag)
-        self._unknown, self._started_s = unknown, time.monotonic()
-        self._repeated = runs_to_repeat(content, unknown, lag)
+        self._unknown, self._repeated = unfinished_search(content, lag)
+        self._started_s = time.monotonic()
         self._begun = content.begun
         if self._begun > runs:
             raise UsageError(
@@ -270,7 +268,8 @@ class Search(Proposer):
                 'that number'
             )
         done = content.only(content.by_index.keys() - self._repeated.keys())
-        return done, {UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else {}
+        unknown = sorted(self._unknown)
+        return done, {UNKNOWN_TO_SAMPLER: unknown} if unknown else {}
 
     def _settle_sampler(self, asked: ProgramSampler | None) -> str:
         """Choose the sampler of the program or the default, if none is asked for.

@@ -45,8 +45,7 @@ from taxinet_ros.trials.record.content import (
 from taxinet_ros.trials.record.facts import FACTS, campaign_facts
 from taxinet_ros.trials.record.resumption import (
     check_same_campaign,
-    runs_to_repeat,
-    unknown_to_sampler,
+    unfinished_search,
 )
 from taxinet_ros.trials.record.table import table
 from taxinet_ros.trials.requirements import read_specs
@@ -146,7 +145,7 @@ def _resume(folder: Path) -> Use:
             ])
         content = read_campaign(folder)
         check_same_campaign(folder, content, facts)
-        runs_to_repeat(content, unknown_to_sampler(content, LAG), LAG)
+        unfinished_search(content, LAG)
         return table(content.rows, ['phi_eventually'])
     return use
 

@@ -78,11 +78,8 @@ def _report(graph: SampledGraph, link: Link, end: threading.Event) -> None:
     """Report the progress of the run periodically; silence means that it hangs."""
     from taxinet_ros.trials.worker_process import BEAT_S
 
-    told = -1
     while not end.wait(BEAT_S):
-        if graph.seq != told:
-            told = graph.seq
-            link.progress(told)
+        link.progress(graph.seq)
 
 
 if __name__ == '__main__':

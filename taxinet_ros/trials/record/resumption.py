@@ -116,46 +116,36 @@ def undecided_facts(facts: Mapping[str, Any]) -> Sequence[str]:
     return () if facts['perception'] else PERCEPTION_KEYS
 
 
-def unknown_to_sampler(content: CampaignContent, lag: int) -> frozenset[int]:
-    """Runs with an infrastructure error without whose results others, since judged, were chosen.
-
-    They may have been repeated. The chosen scenes are kept, so the sampler never receives these
-    results.
+def unfinished_search(
+    content: CampaignContent, lag: int
+) -> tuple[frozenset[int], Mapping[int, RunRow]]:
+    """What of a search its sampler never receives, and what must be run again.
 
     Args:
         content: content of the record.
         lag: a run is chosen with the results up to so many runs before it.
+
+    Returns:
+        Runs with an infrastructure error without whose results others, since judged, were chosen:
+            they may have been repeated; the chosen scenes are kept, so the sampler never receives
+            these results. And the rows, by index, of the runs to repeat: they had an infrastructure
+            error or were interrupted. This includes rejected scenes, which may have been chosen
+            without a result that is now available; they need no run, and have the same result if
+            nothing has changed.
     """
-    results = _results(content)
+    results = [_Result(*values) for values in content.values('index', 'outcome', 'retries')]
     last = max((one.index for one in results if one.outcome.judged), default=-1)
-    broken = (one.index for one in results if one.outcome is Outcome.INFRA_ERROR)
-    return frozenset([
+    unknown = frozenset([
         *content.facts.get(UNKNOWN_TO_SAMPLER, []),
-        *(index for index in broken if index + lag <= last),
+        *(one.index for one in results
+          if one.outcome is Outcome.INFRA_ERROR and one.index + lag <= last),
     ])
-
-
-def runs_to_repeat(
-    content: CampaignContent, unknown: Collection[int], lag: int
-) -> Mapping[int, RunRow]:
-    """The rows, by index, of a search's runs that must be repeated.
-
-    They had an infrastructure error or were interrupted. This includes rejected scenes, which may
-    have been chosen without a result that is now available. They need no run, and have the same
-    result if nothing has changed.
-
-    Args:
-        content: content of its record.
-        unknown: result of :func:`unknown_to_sampler`.
-        lag: as there.
-    """
-    results = _results(content)
     broken = (
         one.index for one in results
         if one.index not in unknown and (one.retries or one.outcome is Outcome.INFRA_ERROR)
     )
     sure = lag + min(broken, default=len(results))
-    return content.only({
+    return unknown, content.only({
         one.index for one in results
         if one.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
         or (one.outcome is Outcome.REJECTED and one.index >= sure)
@@ -169,10 +159,6 @@ class _Result:
     index: int
     outcome: Outcome
     retries: int
-
-
-def _results(content: CampaignContent) -> list[_Result]:
-    return [_Result(*values) for values in content.values('index', 'outcome', 'retries')]
 
 
 def check_same_campaign(
