@@ -104,6 +104,26 @@ def find_program(word_or_path: str | Path) -> Path:
     )
 
 
+def shipped_documents(folder: str, suffix: str) -> tuple[str, ...]:
+    """Sorted names of the files that are shipped in a folder beside the programs."""
+    return tuple(sorted(path.stem for path in (shipped_folder() / folder).glob(f'*{suffix}')))
+
+
+def find_document(word_or_path: str, folder: str, suffix: str, unknown: str) -> Path:
+    """Find the file of a shipped name, see :func:`shipped_documents`, or of a path.
+
+    Raises:
+        UsageError: it is neither: the text ``unknown``, with the known names.
+    """
+    known = shipped_documents(folder, suffix)
+    if word_or_path in known:
+        return shipped_folder() / folder / f'{word_or_path}{suffix}'
+    path = Path(word_or_path)
+    if not path.is_file():
+        raise UsageError(f'{unknown}; known: {", ".join(known)}')
+    return path
+
+
 def is_document_file(text: str) -> bool:
     """Whether a parameter's text names a file of a place, camera, aircraft or others."""
     return text.lower().endswith(('.yaml', '.yml', '.json')) and not text.startswith('{')

@@ -41,7 +41,7 @@ from taxinet_ros.files.plain_values import Section, expected, read_yaml
 from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.scenes.overrides import check_overrides
 from taxinet_ros.scenes.programs import SUFFIX as PROGRAM_SUFFIX
-from taxinet_ros.scenes.programs import find_program, shipped_folder
+from taxinet_ros.scenes.programs import find_document, find_program, shipped_documents
 from taxinet_ros.trials.engine import with_workers
 from taxinet_ros.trials.options import GRAPH, CampaignOptions, check_engine, check_new, with_offsets
 from taxinet_ros.trials.record.content import read_campaign
@@ -118,7 +118,7 @@ class Experiment:
 
 def known_experiments() -> tuple[str, ...]:
     """Sorted names of the shipped experiments."""
-    return tuple(sorted(path.stem for path in (shipped_folder() / FOLDER).glob(f'*{SUFFIX}')))
+    return shipped_documents(FOLDER, SUFFIX)
 
 
 def find_experiment(word_or_path: str) -> Path:
@@ -127,15 +127,10 @@ def find_experiment(word_or_path: str) -> Path:
     Raises:
         UsageError: it is neither; the known names are listed.
     """
-    if word_or_path in known_experiments():
-        return shipped_folder() / FOLDER / f'{word_or_path}{SUFFIX}'
-    path = Path(word_or_path)
-    if not path.is_file():
-        raise UsageError(
-            f'experiment {word_or_path!r}: no such file, and no shipped experiment; known: '
-            f'{", ".join(known_experiments())}'
-        )
-    return path
+    return find_document(
+        word_or_path, FOLDER, SUFFIX,
+        f'experiment {word_or_path!r}: no such file, and no shipped experiment',
+    )
 
 
 def read_experiment(path: Path) -> Experiment:

@@ -47,7 +47,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
-from taxinet_ros.scenes.programs import shipped_folder
+from taxinet_ros.scenes.programs import find_document, shipped_documents
 
 FOLDER, SUFFIX = 'odds', '.yaml'
 MOST_CELLS = 50
@@ -304,7 +304,7 @@ class Odd:
 
 def known_odds() -> tuple[str, ...]:
     """Sorted names of the shipped ODDs."""
-    return tuple(sorted(path.stem for path in (shipped_folder() / FOLDER).glob(f'*{SUFFIX}')))
+    return shipped_documents(FOLDER, SUFFIX)
 
 
 def find_odd(word_or_path: str) -> Path:
@@ -313,15 +313,9 @@ def find_odd(word_or_path: str) -> Path:
     Raises:
         UsageError: it is neither; the known names are listed.
     """
-    if word_or_path in known_odds():
-        return shipped_folder() / FOLDER / f'{word_or_path}{SUFFIX}'
-    path = Path(word_or_path)
-    if not path.is_file():
-        raise UsageError(
-            f'--odd {word_or_path}: no such file, and no shipped ODD; known: '
-            f'{", ".join(known_odds())}'
-        )
-    return path
+    return find_document(
+        word_or_path, FOLDER, SUFFIX, f'--odd {word_or_path}: no such file, and no shipped ODD',
+    )
 
 
 def read_odd(path: Path) -> Odd:
