@@ -19,6 +19,7 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.instructions import lacking
 from taxinet_ros.processes.interrupts import (
     exit_at_once,
+    exit_if_lost,
     handle_signals,
     heeded_signals,
     say_interrupted,
@@ -63,6 +64,7 @@ def _run(work: Callable[[], None]) -> NoReturn:
     everything else after Ctrl-C, for which ``ros2 launch`` allows 5 s, and it would wait forever
     for a thread left over by user code.
     """
+    sys.unraisablehook = exit_if_lost
     handle_signals(exit_at_once, heeded_signals())
     signal.pthread_sigmask(signal.SIG_UNBLOCK, heeded_signals())  # a starter may block them
     code: object = None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
@@ -41,6 +42,17 @@ def exit_at_once(number: int, frame: FrameType | None) -> NoReturn:
     """Handle a signal by ending the process, without cleanup."""
     say_interrupted()
     os._exit(128 + number)
+
+
+def exit_if_lost(lost: sys.UnraisableHookArgs) -> None:
+    """Hook for exceptions that Python drops: a dropped interrupt ends the process at once.
+
+    One that arrives in a destructor or in the callback of a weak reference, such as those of
+    Python's imports, reaches no code that could handle it.
+    """
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        exit_at_once(_received[-1] if _received else signal.SIGINT, None)
+    sys.__unraisablehook__(lost)
 
 
 def exit_handler(code: int) -> Callable[[int, FrameType | None], NoReturn]:

@@ -100,6 +100,28 @@ def test_given_work_that_does_not_return_then_the_second_interrupt_ends_the_proc
         143, 'first\n', 'taxinet: interrupted\n')
 
 
+@pytest.mark.parametrize('lost', [
+    'callback = weakref.ref(thing, lambda gone: os.kill(os.getpid(), signal.SIGTERM)); del thing',
+    'type(thing).__del__ = lambda gone: os.kill(os.getpid(), signal.SIGTERM); del thing',
+])
+def test_given_an_interrupt_in_a_callback_that_python_ignores_then_the_command_still_ends(lost):
+    program = (
+        'import os, signal, weakref\n'
+        'from taxinet_ros.cli.start import _run\n'
+        'from taxinet_ros.processes.interrupts import handle_signals, raise_interrupt\n'
+        'def work():\n'
+        '    handle_signals(raise_interrupt)\n'
+        '    thing = type("Thing", (), {})()\n'
+        f'    {lost}\n'
+        '    print("went on")\n'
+        '_run(work)'
+    )
+    done = subprocess.run(
+        [sys.executable, '-P', '-c', program], capture_output=True, text=True, check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (143, '', 'taxinet: interrupted\n')
+
+
 def test_given_nohup_then_a_closed_terminal_ends_nothing():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     heard: list[str] = []
