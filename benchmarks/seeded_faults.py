@@ -1,9 +1,10 @@
 """Seeded faults: which of small faults, planted in the code one at a time, the tests detect.
 
 ``reach`` finds the tests that reach each fault, ``run`` plants each and runs these tests until one
-fails, ``table`` counts. They work in a checkout whose taxinet_ros is as committed, change it, and
-put it back. ``seeded_faults.jsonl`` holds the faults, drawn by ``draw_faults.py``, and what caught
-them; the tests that reach them and the log are in ``build/seeded_faults``.
+fails, ``again`` plants each and runs the test that caught it before, ``table`` counts. They work in
+a checkout whose taxinet_ros is as committed, change it, and put it back. ``seeded_faults.jsonl``
+holds the faults, drawn by ``draw_faults.py``, and what caught them; the tests that reach them and
+the log are in ``build/seeded_faults``.
 """
 
 from __future__ import annotations
@@ -359,6 +360,22 @@ def judge(
     return {'caught': '', 'tests': tests, 'wall_s': time.monotonic() - begun}
 
 
+def caught_again(fault: Fault, suite: str) -> dict[str, Any]:
+    """Plant a fault and run the test that caught it before, wherever that test is now."""
+    begun = time.monotonic()
+    file, _, name = fault.caught[suite].partition('[')[0].partition('::')
+    tests = [f'{place}::{name}' for place in sorted(Path('tests').rglob('test_*.py'))
+             if f'def {name}(' in place.read_text()] if name else [file.partition(' ')[0]]
+    if not tests:
+        return {'caught': '', 'tests': 0, 'wall_s': 0.0}
+    with changed(planted(fault, places([fault])[fault.name])):
+        ended = run_tests((), tests, ['-x'], 600)
+    failed = [one for one in ended if one['outcome'] == 'failed']
+    first = failed[0] if failed else {'test': '', 'why': ''}
+    return {'caught': first['test'], 'why': first['why'],
+            'tests': len({one['test'] for one in ended}), 'wall_s': time.monotonic() - begun}
+
+
 def read_faults(file: Path) -> list[Fault]:
     """The faults of a file."""
     return [Fault(**json.loads(line)) for line in file.read_text().splitlines()]
@@ -402,7 +419,7 @@ def show(faults: Sequence[Fault]) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command."""
     parser = argparse.ArgumentParser(description=(__doc__ or '').split('\n\n')[0])
-    parser.add_argument('command', choices=('reach', 'run', 'table'))
+    parser.add_argument('command', choices=('reach', 'run', 'again', 'table'))
     parser.add_argument('words', nargs='*', metavar='WORD', help=(
         'reach: test files, else all; run: names of faults, or their beginnings, else all; table: '
         'files of results to take up'))
@@ -420,15 +437,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         reach = find_reach(faults, given.suite, given.words)
         reach_file.write_text(json.dumps(reach))
         print(f'{len(reach["tests"])} tests, of which {len(reach["failed"])} failed')
-    elif given.command == 'run':
-        if not reach_file.exists():
+    elif given.command in ('run', 'again'):
+        if given.command == 'run' and not reach_file.exists():
             raise UsageError(f'{reach_file}: there is none; first: reach --suite {given.suite}')
-        reach = json.loads(reach_file.read_text())
+        reach = json.loads(reach_file.read_text()) if given.command == 'run' else {}
+        if given.command == 'again':
+            faults = [fault for fault in faults if fault.caught.get(given.suite)]
         resource.setrlimit(resource.RLIMIT_DATA, (_MEMORY_BYTES, _MEMORY_BYTES))
         for fault in faults:
             if not given.words or fault.name.startswith(tuple(given.words)):
                 found = {'name': fault.name, 'suite': given.suite,
-                         **judge(fault, reach, given.skip, quick=given.quick)}
+                         **(judge(fault, reach, given.skip, quick=given.quick) if reach
+                            else caught_again(fault, given.suite))}
                 if found['caught'] or not given.quick:
                     with (WORK / 'results.jsonl').open('a') as file:
                         file.write(json.dumps(found) + '\n')
