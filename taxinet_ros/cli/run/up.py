@@ -102,7 +102,7 @@ def up(
     from taxinet_ros.nodes.graph.launch_plan import absolute_namespace
     from taxinet_ros.nodes.graph.runner import GraphOptions
     from taxinet_ros.nodes.graph.standing import UpOptions, run_standing_graph
-    from taxinet_ros.nodes.graph.supervisor import GraphLostError, Restart, SupervisionOptions
+    from taxinet_ros.nodes.graph.supervisor import GraphLostError, Restart
     from taxinet_ros.nodes.running.domain import BY_HAND, domain_number
     from taxinet_ros.processes.interrupts import interrupts
     from taxinet_ros.trials.options import (
@@ -143,7 +143,7 @@ def up(
             controller=steers, timing=timing, world=chosen.name,
         ),
         record=record, domain=domain, namespace=absolute_namespace(namespace, '--namespace '),
-        care=SupervisionOptions(restart=Restart(restart), silent_s=silent_after),
+        restart=Restart(restart), silent_s=silent_after,
     )
     view = UpView(Console(highlight=False), options)
     with interrupts(view.stop):

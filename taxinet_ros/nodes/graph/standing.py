@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.launch_plan import namespace_remaps
 from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.graph.runner import GraphOptions, node_processes
-from taxinet_ros.nodes.graph.supervisor import SupervisionOptions, Supervisor
+from taxinet_ros.nodes.graph.supervisor import Restart, Supervisor
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
@@ -28,14 +28,16 @@ class UpOptions:
         domain: ROS domain; None for a free one.
         namespace: absolute namespace of every name in the graph, including its clock; graphs with
             different namespaces may share a domain set by the user.
-        care: supervision options.
+        restart: what to do when a node dies.
+        silent_s: silence after which a node is reported [s], see :class:`.Supervisor`.
     """
 
     graph: GraphOptions
     record: bool = True
     domain: int | None = None
     namespace: str = '/'
-    care: SupervisionOptions = field(default_factory=SupervisionOptions)
+    restart: Restart = Restart.ON_FAILURE
+    silent_s: float = 10.0
 
     @property
     def logs(self) -> Path:
@@ -85,8 +87,8 @@ def run_standing_graph(
         _in_order(processes),
     ):
         supervisor = Supervisor(
-            processes, options.care, say, context=spinning.context,
-            cli_args=options.ros_arguments,
+            processes, say, restart=options.restart, silent_s=options.silent_s,
+            context=spinning.context, cli_args=options.ros_arguments,
         )
         spinning.add(supervisor)
         with watching(supervisor, domain):
