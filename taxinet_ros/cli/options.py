@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -25,6 +26,9 @@ from taxinet_ros.cli.completion import (
 )
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from taxinet_ros.trials.options import CampaignOptions
 
 
 def given_options(context: typer.Context) -> dict[str, Any]:
@@ -68,13 +72,13 @@ def word_of(context: typer.Context, role: str) -> str:
     """Word of the option for a role in the graph, or of its command.
 
     Args:
-        context: context of a command with the options ``--ROLE`` and ``--ROLE-cmd``.
+        context: context of a command with the option ``--ROLE``, and perhaps ``--ROLE-cmd``.
         role: ``perception`` or ``controller``.
 
     Raises:
         UsageError: both are given.
     """
-    command = context.params[f'{role}_cmd']
+    command = context.params.get(f'{role}_cmd')
     if command is None:
         return str(context.params[role])
     if role in given_options(context):
@@ -91,7 +95,42 @@ def controller_of(context: typer.Context) -> str:
     from taxinet_ros.core.assurance.switch import monitored
 
     params = context.params
-    return monitored(word_of(context, 'controller'), params['monitor'], params['fallback'])
+    return monitored(
+        word_of(context, 'controller'), params.get('monitor'), params.get('fallback')
+    )
+
+
+def campaign_of(context: typer.Context, **own: Any) -> CampaignOptions:
+    """Campaign that the parameters of a command ask for.
+
+    A parameter with the name of a field of :class:`.CampaignOptions`, or of a parameter of
+    :func:`.make_options`, is passed on, except ``workers`` and ``cluster``, which are checked
+    against the finished campaign.
+
+    Args:
+        context: context of the command.
+        own: values that the command sets itself.
+
+    Raises:
+        UsageError: one line on the first error.
+    """
+    from taxinet_ros.core.world import world_word
+    from taxinet_ros.trials.options import CampaignOptions, make_options
+
+    names = {
+        name for asked in (make_options, CampaignOptions)
+        for name in inspect.signature(asked).parameters
+    } - {'workers', 'cluster'}
+    params = {
+        name: value for name, value in context.params.items()
+        if name in names and value is not None
+    }
+    given = {
+        **params, 'perception': word_of(context, 'perception'),
+        'controller': controller_of(context),
+        'world': world_word(context.params['world'], context.params['camera']), **own,
+    }
+    return make_options(**{**given, 'out': Path(given['out']) if 'out' in given else None})
 
 
 ScenarioArgument = Annotated[

@@ -410,27 +410,6 @@ Starter = Callable[[Role, int, Path], NodeProcess]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckOptions:
-    """Options of a check.
-
-    Attributes:
-        start: starts the node's process; None if the user starts it.
-        role: its role; None to detect it from the publishers of the node started.
-        domain: ROS domain; None for a free one.
-        frames: number of messages per run.
-        patience_s: timeout for an answer; three times as long for READY [s].
-        log: file for the node's output.
-    """
-
-    start: Starter | None
-    role: str | None
-    domain: int | None
-    frames: int
-    patience_s: float
-    log: Path
-
-
-@dataclass(frozen=True, kw_only=True)
 class Report:
     """What was found of each clause that applies to a node's role, in order."""
 
@@ -443,26 +422,36 @@ class Report:
         return [one.clause.name for one in self.findings if one.status is Status.FAIL]
 
 
-def check_node(options: CheckOptions, say: Callable[[str], None]) -> Report:
+def check_node(
+    start: Starter | None, role_name: str | None, say: Callable[[str], None], *,
+    domain_id: int | None, frames: int, patience_s: float, log: Path,
+) -> Report:
     """Drive a node, and judge it.
 
     Args:
-        options: options of the check.
+        start: starts the node's process; None if the user starts it.
+        role_name: its role; None to detect it from the publishers of the node started.
         say: called with a line on what is awaited.
+        domain_id: ROS domain; None for a free one.
+        frames: number of messages per run.
+        patience_s: timeout for an answer; three times as long for READY [s].
+        log: file for the node's output.
 
     Raises:
         UsageError: the program does not exist, or the role cannot be detected.
     """
     require_discovery()
-    with own_domain(options.domain) as domain:
-        role = ROLES[options.role or 'perception']
-        if options.start is None:
+    with own_domain(domain_id) as domain:
+        role = ROLES[role_name or 'perception']
+        if start is None:
             say(f'waiting for your node on ROS domain {domain} (ROS_DOMAIN_ID={domain})')
-        known = options.role is not None
+        known = role_name is not None
         while True:
             with (
                 NodeExecutor(domain) as spinning,
-                contextlib.closing(Stage(options, role, domain, spinning)) as stage,
+                contextlib.closing(Stage(
+                    start, role, domain, spinning, frames=frames, patience_s=patience_s, log=log,
+                )) as stage,
             ):
                 stage.find()
                 seems = role if known else stage.looks_like()
@@ -533,14 +522,16 @@ class Stage:
     """The graph without the checked node, and what that node does."""
 
     def __init__(
-        self, options: CheckOptions, role: Role, domain: int, spinning: NodeExecutor
+        self, start: Starter | None, role: Role, domain: int, spinning: NodeExecutor, *,
+        frames: int, patience_s: float, log: Path,
     ) -> None:
-        """Create all nodes except the checked one, and start that one.
+        """Create all nodes except the checked one, and start that one, if it is started here.
 
         To test readiness, the publisher of its input and a subscriber of its answers are created
         later.
         """
-        self._options, self._role, self._executor = options, role, spinning.executor
+        self._role, self._executor = role, spinning.executor
+        self._patience_s, self._log = patience_s, log
         self._verdicts = Verdicts(role)
         self._change = Future()
         self._runs: list[Run] = []
@@ -567,10 +558,10 @@ class Stage:
                 if name in topic.listeners(list(self._nodes)) \
                         and (name, topic) != self._late_ear:
                     self._listen(node, name, topic)
-        self._states = _places(options.frames)
+        self._states = _places(frames)
         self._camera = Camera(_SCENE) if role.word == 'perception' else None
         self._pictures: dict[int, Any] = {}
-        self._process = options.start(role, domain, options.log) if options.start else None
+        self._process = start(role, domain, log) if start else None
 
     def close(self) -> None:
         """End the node if it was started here."""
@@ -677,7 +668,7 @@ class Stage:
     def find(self) -> None:
         """Wait for the node's endpoints and record them."""
         if self._until(self._theirs, START_S if self._process is not None else _AWAITED_S):
-            self._until(self._whole, _READY_FACTOR * self._options.patience_s)
+            self._until(self._whole, _READY_FACTOR * self._patience_s)
             self._watch(2 * _MOMENT_S)  # its other endpoints
         self._dead()
         self._survey()
@@ -849,7 +840,7 @@ class Stage:
         return run
 
     def _await_ready(self, run: Run, within_s: float = 0.0) -> None:
-        within_s = max(within_s, _READY_FACTOR * self._options.patience_s)
+        within_s = max(within_s, _READY_FACTOR * self._patience_s)
         self._until(lambda: run.ready or run.error or self._dead(), within_s)
         if not run.ready:
             self._abandon(run)
@@ -880,7 +871,7 @@ class Stage:
     ) -> None:
         """Send a message and wait for its answer; a strange image need not be answered."""
         self._put(run, question, estimate=estimate, image=image)
-        patience_s = self._options.patience_s if image is None else _MOMENT_S
+        patience_s = self._patience_s if image is None else _MOMENT_S
         self._until(lambda: question.answers or run.error or self._dead(), patience_s)
         if self._dead() or not (question.answers or image):
             if not question.kind and not self._dead():
@@ -942,15 +933,15 @@ class Stage:
         """Request the process to end, and judge how it does."""
         assert self._process is not None
         self._run = None
-        process, printed = self._process, self._options.log.stat().st_size
+        process, printed = self._process, self._log.stat().st_size
         begun_s = time.monotonic()
         process.send(signal.Signals[name])
         self._until(lambda: process.dead, _ENDING_S)
         after_s = time.monotonic() - begun_s
         in_time = process.dead and process.code != -signal.SIGKILL
         process.end()
-        with self._options.log.open('rb') as log:
-            log.seek(max(printed, self._options.log.stat().st_size - _TAIL_BYTES))
+        with self._log.open('rb') as log:
+            log.seek(max(printed, self._log.stat().st_size - _TAIL_BYTES))
             said = log.read(_TAIL_BYTES).decode(errors='replace')
         left = [line for line in said.splitlines() if line.startswith(CHILDREN_LEFT)]
         wrong = [

@@ -166,7 +166,7 @@ class CampaignOptions(System):
 
 
 def make_options(
-    *, out: Path | None, settings: Iterable[str] = (), specs: Iterable[str] = (),
+    *, out: Path | None = None, settings: Iterable[str] = (), specs: Iterable[str] = (),
     stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (), rates: Iterable[str] = (),
     latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
     audit: str | None = None, resume: bool | None = None, **fields: Any,

@@ -71,10 +71,10 @@ def interfaces(bag: Path, folder: Path) -> dict[str, tuple[str, Interface]]:
 
 def _supervisor(context: Context, parameter_overrides: list[Parameter]) -> Any:
     """One that looks after the nodes of a graph, none of which is there."""
-    from taxinet_ros.nodes.graph.supervisor import SupervisionOptions, Supervisor
+    from taxinet_ros.nodes.graph.supervisor import Supervisor
 
     processes: Any = [SimpleNamespace(name=name) for name in (SIMULATOR, *PARTICIPANTS)]
-    return Supervisor(processes, SupervisionOptions(), print, context=context)
+    return Supervisor(processes, print, context=context)
 
 
 def interface_of(node: Any) -> Interface:

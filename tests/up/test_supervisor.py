@@ -16,7 +16,6 @@ from taxinet_ros.nodes.graph.supervisor import (
     GraphLostError,
     Restart,
     RestartLimit,
-    SupervisionOptions,
     Supervisor,
 )
 from taxinet_ros.nodes.running.node_main import spin_until
@@ -66,13 +65,13 @@ def start(tmp_path, monkeypatch):
     end_all(started, ())
 
 
-def looked_after(start, name: str, program: str, care: SupervisionOptions) -> list[str]:
+def looked_after(start, name: str, program: str, **care) -> list[str]:
     """What is said of one process until the supervisor is done with it."""
     said: list[str] = []
     with on_own_domain() as spinning:
         context = spinning.context
         process = start(name, program, context.get_domain_id())
-        supervisor = Supervisor([process], care, said.append, context=context)
+        supervisor = Supervisor([process], said.append, context=context, **care)
         spinning.add(supervisor)
         try:
             spin_until(spinning.executor, supervisor.ended)
@@ -85,7 +84,7 @@ def looked_after(start, name: str, program: str, care: SupervisionOptions) -> li
 def test_given_a_node_that_dies_again_and_again_then_it_is_started_so_often_and_given_up(
     start, tmp_path
 ):
-    said = looked_after(start, 'recorder', 'torn', SupervisionOptions(limit=2, window_s=3600))
+    said = looked_after(start, 'recorder', 'torn', limit=2, window_s=3600)
     assert said == [
         'recorder died: exit code 3; restarted (1 of 2 in 3600 s)',
         'recorder died: exit code 3; restarted (2 of 2 in 3600 s)',
@@ -96,15 +95,13 @@ def test_given_a_node_that_dies_again_and_again_then_it_is_started_so_often_and_
 
 @pytest.mark.ros
 def test_given_a_mistake_of_the_users_then_the_node_is_not_started_again(start):
-    said = looked_after(
-        start, 'steering_controller', 'mistaken', SupervisionOptions(restart=Restart.ON_FAILURE)
-    )
+    said = looked_after(start, 'steering_controller', 'mistaken', restart=Restart.ON_FAILURE)
     assert said == ['UsageError: gain: too big']
 
 
 @pytest.mark.ros
 def test_given_a_node_that_does_not_join_then_it_is_named_with_what_it_lacks(start, tmp_path):
-    (line,) = looked_after(start, 'perception', 'absent', SupervisionOptions(ready_s=0.5))
+    (line,) = looked_after(start, 'perception', 'absent', ready_s=0.5)
     assert line.startswith('GraphLostError: not ready within 0.5 s: perception does not ')
     assert line.endswith(f'; see {tmp_path}/perception.log')
 

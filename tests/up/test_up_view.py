@@ -11,7 +11,6 @@ from rich.console import Console
 
 from taxinet_ros.cli.run.up_view import UpView
 from taxinet_ros.nodes.graph.runner import GraphOptions
-from taxinet_ros.nodes.graph.standing import UpOptions
 from taxinet_ros.nodes.graph.supervisor import State
 
 
@@ -36,10 +35,10 @@ def supervisor():
 
 
 def shown(supervisor, tmp_path) -> list[str]:
-    options = UpOptions(graph=GraphOptions(perception='truth', out=tmp_path))
+    graph = GraphOptions(perception='truth', out=tmp_path)
     console = Console(width=100, record=True, file=open(os.devnull, 'w'))  # noqa: SIM115 (closed below)
     with console.file:
-        console.print(UpView(console, options).picture(supervisor, 3725.9 + 100.0))
+        console.print(UpView(console, graph).picture(supervisor, 3725.9 + 100.0))
         return [line.rstrip() for line in console.export_text().splitlines()]
 
 

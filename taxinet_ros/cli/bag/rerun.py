@@ -38,7 +38,10 @@ _TAKEN_BESIDE_FROM = frozenset({
 
 def check_options(given: Iterable[str]) -> None:
     """Refuse given parameters of ``taxinet run`` that contradict the recorded run."""
-    names = {'settings': '--set', 'scenario': 'SCENARIO', 'free': 'whether --free'}
+    names = {
+        'settings': '--set', 'program': 'SCENARIO', 'free': 'whether --free', 'specs': '--spec',
+        'bounds': '--bound', 'rates': '--rate',
+    }
     for name in given:
         if name in ('engine', 'audit'):
             raise UsageError(f'--from: --{name}: a rerun is always made on the graph')

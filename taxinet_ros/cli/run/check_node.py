@@ -93,7 +93,7 @@ def run_check(
     Raises:
         UsageError: it breaks a clause, or an option is invalid.
     """
-    from taxinet_ros.nodes.node_check import ROLES, CheckOptions, check_node
+    from taxinet_ros.nodes.node_check import ROLES, check_node
 
     if role is not None and role not in ROLES:
         raise UsageError(f'--role {role}: unknown; known: {", ".join(ROLES)}')
@@ -110,11 +110,10 @@ def run_check(
     with tempfile.TemporaryDirectory(prefix='taxinet-') as scratch:
         printed = Path(scratch) / 'node.log'
         printed.touch()
-        options = CheckOptions(
-            start=None if command is None else _starter(command, role, Path(scratch)),
-            role=role, domain=domain, frames=frames, patience_s=patience_s, log=printed,
+        report = check_node(
+            None if command is None else _starter(command, role, Path(scratch)), role, _say,
+            domain_id=domain, frames=frames, patience_s=patience_s, log=printed,
         )
-        report = check_node(options, _say)
         print(_json(report) if as_json else _words(report), flush=True)
         if log is not None:
             shutil.copyfile(printed, log)

@@ -59,7 +59,7 @@ from taxinet_ros.cli.options import (
     WorkersOption,
     WorldCameraOption,
     WorldOption,
-    controller_of,
+    campaign_of,
     ended,
     given_options,
     word_of,
@@ -68,7 +68,7 @@ from taxinet_ros.cli.options import (
 
 def run(
     context: typer.Context,
-    scenario: SceneArgument = None,
+    program: SceneArgument = None,
     bag: FromOption = None,
     run_id: RunOption = None,
     runs: RunsOption = 1,
@@ -83,13 +83,13 @@ def run(
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
     camera: WorldCameraOption = None,
-    spec: SpecOption = None,
+    specs: SpecOption = None,
     out: OutOption = None,
     processes: ProcessesOption = False,
     images: RunImagesOption = None,
     stop_on: StopOnOption = 'never',
-    bound: BoundOption = None,
-    rate: RateOption = None,
+    bounds: BoundOption = None,
+    rates: RateOption = None,
     latency: LatencyOption = None,
     free: FreeOption = False,
     real_time_factor: FactorOption = None,
@@ -108,9 +108,8 @@ def run(
     if bag is None:
         _start_scenic()
     from taxinet_ros.cli.run.campaign import run_campaign, with_run_workers
-    from taxinet_ros.core.world import world_word
     from taxinet_ros.errors import UsageError
-    from taxinet_ros.trials.options import LOOP, make_options
+    from taxinet_ros.trials.options import LOOP
 
     if bag is not None and foxglove is not None:
         raise UsageError('--foxglove: not with --from; use the bag_player to show a bag')
@@ -120,19 +119,12 @@ def run(
         raise UsageError(
             '--run: selects a run of the bag given by --from; give --from, or leave --run out'
         )
-    if scenario is None:
+    if program is None:
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
     if foxglove is not None and engine == LOOP:
         raise UsageError(f'--foxglove: not with --engine {LOOP}, which has no topics')
-    options = make_options(
-        program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-        settings=settings or (),
-        specs=spec or (), out=out, processes=processes,
-        images=images or ('all' if runs == 1 else 'failures'), stop_on=stop_on,
-        bounds=bound or (), rates=rate or (), controller=controller_of(context),
-        latency=latency or (), free=free, real_time_factor=real_time_factor,
-        world=world_word(world, camera),
-        engine=engine, audit=audit,
+    options = campaign_of(
+        context, images=images or ('all' if runs == 1 else 'failures'),
     )
     raise ended(
         run_campaign(
@@ -168,7 +160,7 @@ def _word(context: typer.Context, given: dict[str, Any], role: str) -> str | Non
 
 def falsify(
     context: typer.Context,
-    scenario: ScenarioArgument,
+    program: ScenarioArgument,
     runs: MostRunsOption = 100,
     sampler: SamplerOption = None,
     sampler_option: SamplerSettingOption = None,
@@ -188,13 +180,13 @@ def falsify(
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
     camera: WorldCameraOption = None,
-    spec: SpecOption = None,
+    specs: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
     images: ImagesOption = 'failures',
     stop_on: StopOnOption = 'never',
-    bound: BoundOption = None,
-    rate: RateOption = None,
+    bounds: BoundOption = None,
+    rates: RateOption = None,
     latency: LatencyOption = None,
     engine: EngineOption = 'graph',
     audit: AuditOption = None,
@@ -210,21 +202,11 @@ def falsify(
     """
     _start_scenic()
     from taxinet_ros.cli.run.search import run_falsify
-    from taxinet_ros.core.world import world_word
-    from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search import make_search
 
     with missing_packages_named(out if resume else None):
-        campaign = make_options(
-            program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-            settings=settings or (),
-            specs=spec or (), out=out, images=images, resume=resume,
-            stop_on=stop_on, bounds=bound or (), rates=rate or (),
-            controller=controller_of(context), latency=latency or (),
-            world=world_word(world, camera),
-            engine=engine, audit=audit,
-        )
+        campaign = campaign_of(context)
         search = make_search(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
             until=until, budget_min=budget, lag=lag, cluster=cluster, odd=odd,
@@ -233,7 +215,8 @@ def falsify(
 
 
 def estimate(
-    scenario: ScenarioArgument,
+    context: typer.Context,
+    program: ScenarioArgument,
     down_to: Annotated[
         float,
         typer.Option(metavar='PROBABILITY', help='least probability that the runs suffice for'),
@@ -254,10 +237,10 @@ def estimate(
     world: WorldOption = 'kmwh',
     settings: SetOption = None,
     camera: WorldCameraOption = None,
-    spec: SpecOption = None,
+    specs: SpecOption = None,
     images: ImagesOption = 'none',
-    bound: BoundOption = None,
-    rate: RateOption = None,
+    bounds: BoundOption = None,
+    rates: RateOption = None,
     latency: LatencyOption = None,
     engine: EngineOption = 'loop',
     audit: AuditOption = None,
@@ -273,23 +256,12 @@ def estimate(
     """
     _start_scenic()
     from taxinet_ros.cli.run.estimate import run_estimate
-    from taxinet_ros.core.world import world_word
-    from taxinet_ros.trials.options import make_options
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search import make_estimate
 
     with missing_packages_named(out if resume else None):
-        campaign = make_options(
-            program=scenario, runs=runs, seed=seed, perception=perception,
-            settings=settings or (),
-            specs=spec or (), out=out, images=images, resume=resume,
-            bounds=bound or (), rates=rate or (), controller=controller,
-            latency=latency or (), world=world_word(world, camera), engine=engine,
-            audit=audit,
-        )
-        search = make_estimate(
-            campaign, floor=down_to, islands=islands, workers=workers
-        )
+        campaign = campaign_of(context)
+        search = make_estimate(campaign, floor=down_to, islands=islands, workers=workers)
     raise typer.Exit(run_estimate(search, quiet=quiet, as_json=as_json))
 
 

@@ -101,8 +101,8 @@ def up(
     from taxinet_ros.core.world import find_world, world_word
     from taxinet_ros.nodes.graph.launch_plan import absolute_namespace
     from taxinet_ros.nodes.graph.runner import GraphOptions
-    from taxinet_ros.nodes.graph.standing import UpOptions, run_standing_graph
-    from taxinet_ros.nodes.graph.supervisor import GraphLostError, Restart, SupervisionOptions
+    from taxinet_ros.nodes.graph.standing import run_standing_graph
+    from taxinet_ros.nodes.graph.supervisor import GraphLostError, Restart
     from taxinet_ros.nodes.running.domain import BY_HAND, domain_number
     from taxinet_ros.processes.interrupts import interrupts
     from taxinet_ros.trials.options import (
@@ -137,18 +137,18 @@ def up(
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
     out = out or new_folder(DEFAULT_ROOT / 'up')
     check_new(out)
-    options = UpOptions(
-        graph=GraphOptions(
-            perception=perceives, out=out, images=recorded_images(chosen, images), gains=gains,
-            controller=steers, timing=timing, world=chosen.name,
-        ),
-        record=record, domain=domain, namespace=absolute_namespace(namespace, '--namespace '),
-        care=SupervisionOptions(restart=Restart(restart), silent_s=silent_after),
+    graph = GraphOptions(
+        perception=perceives, out=out, images=recorded_images(chosen, images), gains=gains,
+        controller=steers, timing=timing, world=chosen.name,
     )
-    view = UpView(Console(highlight=False), options)
+    name = absolute_namespace(namespace, '--namespace ')
+    view = UpView(Console(highlight=False), graph, record=record, namespace=name)
     with interrupts(view.stop):
         try:
-            run_standing_graph(options, view.say, view.watching)
+            run_standing_graph(
+                graph, view.say, view.watching, record=record, domain_id=domain, namespace=name,
+                restart=Restart(restart), silent_s=silent_after,
+            )
             view.say('ended')
         except KeyboardInterrupt:
             view.say('killed')

@@ -18,7 +18,9 @@ from rich.text import Text
 
 from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.world import find_world
-from taxinet_ros.nodes.graph.standing import UpOptions
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.runner import GraphOptions
+from taxinet_ros.nodes.graph.standing import remaps_into
 from taxinet_ros.nodes.graph.supervisor import State, Supervisor, WatchedNode, memory_mb
 from taxinet_ros.nodes.running.domain import DISCOVERY_RANGE, LOCALHOST
 from taxinet_ros.registry import KMWH
@@ -32,9 +34,13 @@ _STYLES = {
 class UpView:
     """Terminal view of one graph."""
 
-    def __init__(self, console: Console, options: UpOptions) -> None:
-        """Show it on ``console``."""
-        self._console, self._options = console, options
+    def __init__(
+        self, console: Console, graph: GraphOptions, *, record: bool = True, namespace: str = '/'
+    ) -> None:
+        """Show it on ``console``; arguments as of :func:`.run_standing_graph`."""
+        self._console, self._graph = console, graph
+        self._record, self._namespace = record, namespace
+        self._remaps = remaps_into(namespace)
         self._supervisor: Supervisor | None = None
 
     def say(self, line: str) -> None:
@@ -65,19 +71,19 @@ class UpView:
     def _heading(self, domain: int) -> list[str]:
         reach = os.environ[DISCOVERY_RANGE]
         where = 'this machine only' if reach == LOCALHOST else f'discovery range {reach}'
-        what = 'bags and logs' if self._options.record else 'nothing recorded; logs'
-        if self._options.remaps:
-            where += f'; namespace {self._options.namespace}'
-        graph = self._options.graph
+        what = 'bags and logs' if self._record else 'nothing recorded; logs'
+        if self._remaps:
+            where += f'; namespace {self._namespace}'
+        graph = self._graph
         there = '' if graph.world == KMWH else f'; world {graph.world}'
         if again := find_world(graph.world).again_words:
-            there += f' ({again}, so every frame is recorded)' if self._options.record else ''
+            there += f' ({again}, so every frame is recorded)' if self._record else ''
         return [
             f'ROS domain {domain}, {where}; perception {graph.perception}{there}; '
-            f'{what} in {self._options.graph.out}',
+            f'{what} in {graph.out}',
             *(
                 f'start it yourself in ROS domain {domain}: a node named {name}'
-                for name, word in self._options.graph.elsewhere.items() if word == EXTERNAL
+                for name, word in graph.elsewhere.items() if word == EXTERNAL
             ),
             'to run scenes, in another terminal:',
             f'  {self._invitation(domain)}',
@@ -88,10 +94,11 @@ class UpView:
         # Two nodes on one machine may not discover each other if only one is limited to it.
         reach = f'{DISCOVERY_RANGE}={os.environ[DISCOVERY_RANGE]}'
         words = f'{reach} ROS_DOMAIN_ID={domain} {start} scenario_sampler --ros-args -p runs:=10'
-        if not self._options.record:
-            names = f'participants:=[{",".join(self._options.participants)}]'
-            words += f' -p {shlex.quote(names)}'
-        return ' '.join([words, *(f'-r {rule}' for rule in self._options.remaps)])
+        if not self._record:
+            names = [name for name in interface.PARTICIPANTS if name != interface.RECORDER]
+            participants = f'participants:=[{",".join(names)}]'
+            words += f' -p {shlex.quote(participants)}'
+        return ' '.join([words, *(f'-r {rule}' for rule in self._remaps)])
 
     def picture(self, supervisor: Supervisor, now_s: float) -> RenderableType:
         """Table of the nodes, and a status line of the runs."""

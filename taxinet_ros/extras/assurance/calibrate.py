@@ -69,78 +69,45 @@ _R = TypeVar('_R')
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class AssureOptions:
-    """What runs a monitor is calibrated or judged on.
-
-    Attributes:
-        program: scenes.
-        perception: word or file.
-        runs: number of scenes.
-        seed: of the scenes.
-        workers: processes; same results.
-        out: file or folder to write.
-    """
-
-    program: str
-    perception: str
-    runs: int
-    seed: int
-    workers: int
-    out: Path
-
-
-@dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(AssureOptions):
-    """Options of a calibration; a quarter as many runs more say what is usual.
-
-    Attributes:
-        rate: largest share of satisfied runs with an alarm, on average over calibrations.
-
-    Raises:
-        UsageError: a value is out of range, or the file cannot be written.
-    """
-
-    rate: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.rate < 1:
-            raise UsageError(f'--rate {self.rate:g}: expected a share between 0 and 1')
-        if self.out.suffix != SUFFIX:
-            raise UsageError(f'--out {self.out}: has to end in {SUFFIX}')
-        if self.out.exists():
-            raise UsageError(f'--out {self.out}: already exists; choose a new name')
-        if not self.out.parent.is_dir():
-            raise UsageError(f'--out {self.out}: {self.out.parent} is not a folder; make it first')
-
-    @property
-    def fitted(self) -> int:
-        """Runs that say what is usual."""
-        return max(self.runs // 4, _LEAST_FITTED)
-
-
-def calibrate(options: CalibrateOptions, progress: Progress) -> Calibration:
+def calibrate(
+    progress: Progress, *, program: str, perception: str, runs: int, rate: float, seed: int,
+    workers: int, out: Path,
+) -> Calibration:
     """Make the runs and write the calibration.
 
     Args:
-        options: what to calibrate.
         progress: called with the stage, the runs done and their number.
+        program: scenes.
+        perception: word or file.
+        runs: runs that set the thresholds; a quarter as many more say what is usual.
+        rate: largest share of satisfied runs with an alarm, on average over calibrations.
+        seed: of the scenes.
+        workers: processes; same results.
+        out: file to write.
 
     Raises:
-        UsageError: there are too few satisfied runs for the rate, or a part cannot be used.
+        UsageError: a value is out of range, the file cannot be written, there are too few satisfied
+            runs for the rate, or a part cannot be used.
     """
-    eyes = make_perception(options.perception)
+    if not 0 < rate < 1:
+        raise UsageError(f'--rate {rate:g}: expected a share between 0 and 1')
+    if out.suffix != SUFFIX:
+        raise UsageError(f'--out {out}: has to end in {SUFFIX}')
+    if out.exists():
+        raise UsageError(f'--out {out}: already exists; choose a new name')
+    if not out.parent.is_dir():
+        raise UsageError(f'--out {out}: {out.parent} is not a folder; make it first')
+    eyes = make_perception(perception)
     if not eyes.needs_image:
-        raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
-    scenes = draw_scenes(
-        options.program, seed=options.seed, images=options.fitted + options.runs
-    )
-    work = options.perception, options.workers
-    found = _each(_usual_run, scenes[:options.fitted], work, 'usual', progress)
+        raise UsageError(f'{perception}: sees no picture, so there is nothing to monitor')
+    few = max(runs // 4, _LEAST_FITTED)
+    scenes = draw_scenes(program, seed=seed, images=few + runs)
+    work = perception, workers
+    found = _each(_usual_run, scenes[:few], work, 'usual', progress)
     usual = [one for one in found if one is not None]
     if len(usual) < _LEAST_FITTED:
         raise UsageError(
-            f'only {len(usual)} of {options.fitted} runs of {options.program} are satisfied; the '
+            f'only {len(usual)} of {few} runs of {program} are satisfied; the '
             'monitor has to be calibrated where the perception is good'
         )
     fitted = Fitted(
@@ -154,20 +121,20 @@ def calibrate(options: CalibrateOptions, progress: Progress) -> Calibration:
     )
     largest = [
         one for one in _each(
-            _largest, [(scene, fitted) for scene in scenes[options.fitted:]], work,
+            _largest, [(scene, fitted) for scene in scenes[few:]], work,
             'thresholds', progress,
         ) if one is not None
     ]
-    each = options.rate / len(CHECKS)
+    each = rate / len(CHECKS)
     made = Calibration(
-        perception=eyes.word, perception_sha256=eyes.fingerprint, source=_source(options),
-        program=options.program, seed=options.seed, runs=len(largest), rate=options.rate,
+        perception=eyes.word, perception_sha256=eyes.fingerprint, source=_source(perception),
+        program=program, seed=seed, runs=len(largest), rate=rate,
         fitted=fitted, thresholds={
             name: max(conformal_threshold([float(one[number]) for one in largest], each), _LEAST)
             for number, name in enumerate(CHECKS)
         },
     )
-    write_atomically(options.out, made.to_bytes())
+    write_atomically(out, made.to_bytes())
     return made
 
 
@@ -186,11 +153,11 @@ def _as_stored(usual: Usual) -> Usual:
     return Usual(mean=usual.mean, whitening=usual.whitening.astype(np.float32).astype(np.float64))
 
 
-def _source(options: CalibrateOptions) -> str:
+def _source(perception: str) -> str:
     """The perception's name, or the absolute path of its file."""
-    path, colon, name = options.perception.partition(':')
+    path, colon, name = perception.partition(':')
     file = Path(path)
-    return f'{file.resolve()}{colon}{name}' if file.is_file() else options.perception
+    return f'{file.resolve()}{colon}{name}' if file.is_file() else perception
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

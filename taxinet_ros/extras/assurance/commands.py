@@ -47,13 +47,18 @@ def assure_calibrate(
     other, whether there is paint where they say that the line is, and whether they move as the
     picture is moved. Thresholds are conformal.
     """
-    from taxinet_ros.extras.assurance.calibrate import CalibrateOptions
-    from taxinet_ros.extras.assurance.show import run_calibrate
+    from rich.console import Console
 
-    raise typer.Exit(run_calibrate(CalibrateOptions(
-        perception=perception, program=program, runs=runs, rate=rate, seed=seed, workers=workers,
-        out=out,
-    )))
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.extras.assurance.calibrate import calibrate
+    from taxinet_ros.extras.assurance.show import print_calibration
+
+    with stage_bars(Console(stderr=True)) as show:
+        found = calibrate(
+            show, perception=perception, program=program, runs=runs, rate=rate, seed=seed,
+            workers=workers, out=out,
+        )
+    print_calibration(found, out)
 
 
 @assure_app.command('judge')

@@ -15,6 +15,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from taxinet_ros.core.system import System
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.extras.assurance.calibrate import REQUIREMENT, AssureOptions
+from taxinet_ros.extras.assurance.calibrate import REQUIREMENT
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
@@ -65,10 +66,16 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class JudgeOptions(AssureOptions):
-    """Options of a judgement; ``out`` is a new folder, or one of an earlier judgement.
+class JudgeOptions:
+    """Options of a judgement.
 
     Attributes:
+        program: scenes.
+        perception: word or file.
+        runs: number of scenes.
+        seed: of the scenes.
+        workers: processes; same results.
+        out: a new folder, or one of an earlier judgement.
         controller, monitor: words.
         fallbacks: words, each driven.
 
@@ -76,6 +83,12 @@ class JudgeOptions(AssureOptions):
         UsageError: a word is unknown, or the folder has something else.
     """
 
+    program: str
+    perception: str
+    runs: int
+    seed: int
+    workers: int
+    out: Path
     controller: str
     monitor: str
     fallbacks: tuple[str, ...]

@@ -18,6 +18,7 @@ from taxinet_ros.cli.bag.input import readable_run
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.assurance.monitor import (
     SUSTAINED,
+    Calibration,
     make_monitor,
     monitor_doubts,
     monitor_names,
@@ -25,7 +26,7 @@ from taxinet_ros.core.assurance.monitor import (
 from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.extras.assurance.calibrate import CalibrateOptions, calibrate, check_share
+from taxinet_ros.extras.assurance.calibrate import check_share
 from taxinet_ros.extras.assurance.judge import (
     ALARMS_NAME,
     BRAKING_S,
@@ -47,25 +48,18 @@ _OCTAVES = 2
 """Multiples of the thresholds that the picture shows: 2 to the power of - this to + this."""
 
 
-def run_calibrate(options: CalibrateOptions) -> int:
-    """Calibrate and print the thresholds.
-
-    Raises:
-        UsageError: there are too few satisfied runs, or bad input.
-    """
-    with stage_bars(Console(stderr=True)) as show:
-        found = calibrate(options, show)
+def print_calibration(found: Calibration, out: Path) -> None:
+    """Print the thresholds of a calibration written to ``out``."""
     console = _console()
     console.print(
-        f'{options.out}: thresholds of {found.runs:,} satisfied runs of {options.program}, seed '
-        f'{options.seed}; of further ones at most {100 * found.rate:g} % raise an alarm on average '
+        f'{out}: thresholds of {found.runs:,} satisfied runs of {found.program}, seed '
+        f'{found.seed}; of further ones at most {100 * found.rate:g} % raise an alarm on average '
         f'over calibrations, in 95 % of which each check does in at most '
         f'{100 * check_share(found):.2g} %',
         soft_wrap=True,
     )
     for name, threshold in found.thresholds.items():
         console.print(f'  {name}: above {threshold:.3g} for {SUSTAINED} frames', soft_wrap=True)
-    return ExitCode.OK
 
 
 def run_judge(options: JudgeOptions, *, as_json: bool) -> int:

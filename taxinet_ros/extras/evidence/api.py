@@ -19,7 +19,7 @@ from taxinet_ros.arguments import (
     takes,
 )
 from taxinet_ros.extras.evidence import verify
-from taxinet_ros.extras.evidence.evidence import EvidenceOptions, make_evidence
+from taxinet_ros.extras.evidence.evidence import make_evidence
 from taxinet_ros.extras.evidence.inputs import read_requirement
 
 _PATHS = PATH | Kind('a list of paths', lambda value: isinstance(value, list | tuple) and all(
@@ -58,13 +58,10 @@ def evidence(
         UsageError: an input is refused; the line names it.
     """
     found = make_evidence(
-        EvidenceOptions(
-            campaigns=_paths(campaigns), claim=claim, spec=spec,
-            requirement=None if requirement is None else read_requirement(requirement),
-            odd=None if odd is None else os.fspath(odd), localisations=_paths(localize),
-            monitors=_paths(monitor_table), networks=tuple(map(str, _paths(perception))),
-        ),
-        Path(out),
+        _paths(campaigns), Path(out), claim=claim, spec=spec,
+        requirement=None if requirement is None else read_requirement(requirement),
+        odd=None if odd is None else os.fspath(odd), localisations=_paths(localize),
+        monitors=_paths(monitor_table), networks=tuple(map(str, _paths(perception))),
     )
     return found.content
 

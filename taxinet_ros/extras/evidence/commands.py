@@ -75,17 +75,16 @@ def write_evidence(
     from rich.console import Console
 
     from taxinet_ros.cli.progress import stage_bars
-    from taxinet_ros.extras.evidence.evidence import EvidenceOptions, make_evidence, parse_claim
+    from taxinet_ros.extras.evidence.evidence import make_evidence, parse_claim
     from taxinet_ros.extras.evidence.inputs import read_requirement
 
-    options = EvidenceOptions(
-        campaigns=tuple(campaigns), spec=spec, odd=odd,
-        requirement=None if requirement is None else read_requirement(requirement),
-        claim=None if claim is None else parse_claim(claim), localisations=tuple(localized or ()),
-        monitors=tuple(monitor_table or ()), networks=tuple(perception or ()),
-    )
+    words = None if requirement is None else read_requirement(requirement)
+    share = None if claim is None else parse_claim(claim)
     with stage_bars(Console(stderr=True)) as show:
-        found = make_evidence(options, out, on_progress=show)
+        found = make_evidence(
+            campaigns, out, show, requirement=words, claim=share, spec=spec, odd=odd,
+            localisations=localized or (), monitors=monitor_table or (), networks=perception or (),
+        )
     if as_json:
         print(json.dumps(found.content, indent=2, allow_nan=False))
     else:

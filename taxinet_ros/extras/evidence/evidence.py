@@ -13,7 +13,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,44 +65,6 @@ WORDS = (
 """What evidence is, for page and JSON."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EvidenceOptions:
-    """What evidence is asked for.
-
-    Attributes:
-        campaigns: folders of finished campaigns.
-        requirement: the requirement in words; None for none.
-        claim: least share of satisfied runs that is claimed, in (0, 1); None for none.
-        spec: formula that the claim and the ODD are about; None for the headline of each system.
-        odd: name or file of an operational design domain; None for none.
-        localisations: folders of ``taxinet localize``.
-        monitors: folders of ``taxinet assure judge``.
-        networks: files of networks that have moved.
-        recorded: paths to record of inputs that have moved since they were recorded.
-        names: names to record of the campaigns, if they have moved.
-    """
-
-    campaigns: tuple[Path, ...]
-    requirement: Requirement | None = None
-    claim: float | None = None
-    spec: str | None = None
-    odd: str | None = None
-    localisations: tuple[Path, ...] = ()
-    monitors: tuple[Path, ...] = ()
-    networks: tuple[str, ...] = ()
-    recorded: Mapping[Path, str] = field(default_factory=dict)
-    names: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not self.campaigns:
-            raise UsageError('evidence: name at least one campaign')
-        if self.claim is not None and not 0 < self.claim < 1:
-            raise UsageError(
-                f'--claim {self.claim:g}: expected a share between 0 and 1, such as 0.99 or 99%; '
-                'no number of runs shows 100 %'
-            )
-
-
 def parse_claim(text: str) -> float:
     """A share as people write it: ``0.99``, ``99%`` or ``99 %``."""
     number, percent, rest = text.strip().partition('%')
@@ -129,43 +91,73 @@ class Collected:
 
 
 def collect(
-    options: EvidenceOptions, folder: Path, on_progress: Progress = lambda stage, done, of: None,
+    campaigns: Sequence[Path], folder: Path,
+    on_progress: Progress = lambda stage, done, of: None, *,
+    requirement: Requirement | None = None, claim: float | None = None, spec: str | None = None,
+    odd: str | None = None, localisations: Sequence[Path] = (), monitors: Sequence[Path] = (),
+    networks: Sequence[str] = (), recorded: Mapping[Path, str] | None = None,
+    names: Sequence[str] = (),
 ) -> Collected:
-    """Read all inputs and compute all figures."""
-    bags = sum(1 for one in options.campaigns for _ in one.glob(f'*/*.{STORAGE_ID}'))
+    """Read all inputs and compute all figures.
+
+    Args:
+        campaigns: folders of finished campaigns.
+        folder: folder of the evidence.
+        on_progress: called with the stage, how much is done, and of how much.
+        requirement: the requirement in words.
+        claim: least share of satisfied runs that is claimed, in (0, 1).
+        spec: formula that the claim and the ODD are about; None for the headline of each system.
+        odd: name or file of an operational design domain.
+        localisations: folders of ``taxinet localize``.
+        monitors: folders of ``taxinet assure judge``.
+        networks: files of networks that have moved.
+        recorded: paths to record of inputs that have moved since they were recorded.
+        names: names to record of the campaigns, if they have moved.
+
+    Raises:
+        UsageError: an input is refused; the line names it.
+    """
+    if not campaigns:
+        raise UsageError('evidence: name at least one campaign')
+    if claim is not None and not 0 < claim < 1:
+        raise UsageError(
+            f'--claim {claim:g}: expected a share between 0 and 1, such as 0.99 or 99%; '
+            'no number of runs shows 100 %'
+        )
+    bags = sum(1 for one in campaigns for _ in one.glob(f'*/*.{STORAGE_ID}'))
     done = itertools.count(1)
 
     def on_bag(bag: Path) -> None:
         on_progress('bags', min(next(done), bags), bags)
 
     def path(place: Path) -> str:
-        return options.recorded.get(place) or os.path.relpath(place.resolve(), folder.resolve())
+        return (recorded or {}).get(place) or os.path.relpath(place.resolve(), folder.resolve())
 
-    domain = None if options.odd is None else read_odd(find_odd(options.odd))
+    domain = None if odd is None else read_odd(find_odd(odd))
     inputs = {
         f'campaign-{number}': one
-        for number, one in enumerate(read_campaigns(options.campaigns, options.names, on_bag), 1)
+        for number, one in enumerate(read_campaigns(campaigns, names, on_bag), 1)
     }
     systems: dict[str, dict[str, CampaignInput]] = {}
     for name, one in inputs.items():
         systems.setdefault(digest_of(one.system), {})[name] = one
     content: dict[str, Any] = {
-        'schema': SCHEMA, 'about': WORDS, 'claim': options.claim, 'asked_spec': options.spec,
-        'requirement': None if options.requirement is None else {
-            'id': options.requirement.name, 'text': options.requirement.text,
-            'given': options.requirement.given, 'sha256': options.requirement.sha256,
+        'schema': SCHEMA, 'about': WORDS, 'claim': claim, 'asked_spec': spec,
+        'requirement': None if requirement is None else {
+            'id': requirement.name, 'text': requirement.text,
+            'given': requirement.given, 'sha256': requirement.sha256,
         },
-        'odd': None if domain is None else _odd(domain, str(options.odd), path),
+        'odd': None if domain is None else _odd(domain, str(odd), path),
         'localisations': [
             _results(f'localisation-{number}', read_localisation(each, inputs), path)
-            for number, each in enumerate(options.localisations, 1)
+            for number, each in enumerate(localisations, 1)
         ],
         'monitors': [
             _results(f'monitor-{number}', read_monitor(each, inputs), path)
-            for number, each in enumerate(options.monitors, 1)
+            for number, each in enumerate(monitors, 1)
         ],
         'systems': [
-            _system(f'system-{number}', own, options, domain)
+            _system(f'system-{number}', own, claim, spec, networks, domain)
             for number, own in enumerate(systems.values(), 1)
         ],
         'campaigns': [
@@ -217,13 +209,14 @@ def _odd(domain: Odd, word: str, path: Callable[[Path], str]) -> dict[str, Any]:
 
 
 def _system(
-    name: str, own: Mapping[str, CampaignInput], options: EvidenceOptions, domain: Odd | None
+    name: str, own: Mapping[str, CampaignInput], claim: float | None, asked_spec: str | None,
+    networks: Sequence[str], domain: Odd | None,
 ) -> dict[str, Any]:
     """Campaigns of one program, formula, network, …, whose figures are added up."""
-    inputs, claim = list(own.values()), options.claim
+    inputs = list(own.values())
     first, facts = inputs[0], inputs[0].facts
-    spec = _spec(options.spec, first)
-    network = read_network(facts, options.networks)
+    spec = _spec(asked_spec, first)
+    network = read_network(facts, networks)
     counts = figures.counts_json(inputs, list(facts['specs']))
     formula = next(one for one in counts['formulas'] if one['formula'] == spec)
     verdict = None if claim is None else figures.claim_verdict(formula, claim)
@@ -404,11 +397,15 @@ def _system_items(system: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def make_evidence(
-    options: EvidenceOptions, out: Path, on_progress: Progress = lambda stage, done, of: None,
+    campaigns: Sequence[Path], out: Path,
+    on_progress: Progress = lambda stage, done, of: None, **asked: Any,
 ) -> Collected:
-    """Collect evidence and write its folder, whole or not at all."""
+    """Collect evidence and write its folder, whole or not at all.
+
+    Arguments as of :func:`collect`.
+    """
     check_new(out)
-    found = collect(options, out, on_progress)
+    found = collect(campaigns, out, on_progress, **asked)
     make_out(out.absolute().parent)
     with tempfile.TemporaryDirectory(prefix=f'.{out.name}-', dir=out.absolute().parent) as scratch:
         draft = Path(scratch) / out.name

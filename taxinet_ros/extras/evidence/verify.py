@@ -29,7 +29,6 @@ from taxinet_ros.extras.evidence.evidence import (
     MANIFEST_NAME,
     SCHEMA,
     Collected,
-    EvidenceOptions,
     Progress,
     collect,
 )
@@ -172,15 +171,12 @@ def _again(
     found.checked['hashes of inputs'] = places.hashes
     requirement = content['requirement']
     return collect(
-        EvidenceOptions(
-            campaigns=campaigns, claim=content['claim'], spec=content['asked_spec'], odd=word,
-            localisations=localisations, monitors=monitors, networks=networks,
-            recorded=places.recorded, names=tuple(one['name'] for one in by_number),
-            requirement=None if requirement is None else requirement_of(
-                requirement['given'], str(folder / JSON_NAME)
-            ),
+        campaigns, folder, on_progress, claim=content['claim'], spec=content['asked_spec'],
+        odd=word, localisations=localisations, monitors=monitors, networks=networks,
+        recorded=places.recorded, names=tuple(one['name'] for one in by_number),
+        requirement=None if requirement is None else requirement_of(
+            requirement['given'], str(folder / JSON_NAME)
         ),
-        folder, on_progress,
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import compress
 from typing import Any
 
@@ -78,56 +77,6 @@ USAGE = Usage(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class LiveMonitorOptions:
-    """Validated options of the node.
-
-    Attributes:
-        sources: sources of the signals.
-        specs: the formulas.
-        assumptions: assumptions on the signals.
-        sampled_on: signal whose messages trigger samples.
-        max_age_ns: maximum age of a held value and maximum gap between samples [ns]; 0: unlimited.
-        horizon_ns: length of a stretch [ns]; 0: unlimited.
-        repeat: whether a new stretch starts when one ends.
-        by_clock: whether to use the clock instead of header stamps.
-    """
-
-    sources: tuple[SignalSource, ...]
-    specs: tuple[Spec, ...]
-    assumptions: Assumptions
-    sampled_on: str
-    max_age_ns: int
-    horizon_ns: int
-    repeat: bool
-    by_clock: bool
-
-
-def declared_options(node: Node) -> LiveMonitorOptions:
-    """Declare the parameters of a node and validate their values."""
-    given = declare_all(node, LIVE_PARAMETERS)
-    refuse_unknown(node)
-    horizon_ns = round(given['horizon'] * NS_PER_S)
-    try:
-        if given['repeat'] and not horizon_ns:
-            raise UsageError('repeat: needs a horizon > 0')
-        found = parse_signals(given['signals'])
-        names = {source.name: source.unit for source in found}
-        specs = _parse_specs(given['specs'], names, horizon_ns)
-        return LiveMonitorOptions(
-            sources=found,
-            specs=specs,
-            assumptions=_parse_assumptions(given['bounds'], given['rates'], list(names), specs),
-            sampled_on=_sampler(given['sampled_on'], list(names)),
-            max_age_ns=round(given['max_age'] * NS_PER_S),
-            horizon_ns=horizon_ns,
-            repeat=given['repeat'],
-            by_clock=given['time_source'] == 'clock',
-        )
-    except UsageError as error:
-        raise UsageError(f'{node.get_name()}: parameter {error}') from None
-
-
 def _parse_specs(
     texts: Sequence[str], signals: Mapping[str, str], horizon_ns: int
 ) -> tuple[Spec, ...]:
@@ -186,7 +135,7 @@ class LiveMonitor(Node):
         """Create the node; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(NAME, **node)
         self.ended: Future = Future()
-        self._options = declared_options(self)
+        self._read_parameters()
         self._outputs = {
             name: self.create_publisher(kind, topic, qos)
             for name, (kind, topic, qos) in outputs.OUTPUTS.items()
@@ -203,15 +152,37 @@ class LiveMonitor(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._finding = self.create_timer(_FIND_PERIOD_S, self._find_publishers, clock=steady)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status_regularly, clock=steady)
-        for spec in self._options.specs:
+        for spec in self._specs:
             self.get_logger().info(f'{spec.name}: {spec.text}')
 
     def close(self) -> None:
         """Release the node; every change has been published already."""
 
+    def _read_parameters(self) -> None:
+        """Declare the parameters and validate their values."""
+        given = declare_all(self, LIVE_PARAMETERS)
+        refuse_unknown(self)
+        self._horizon_ns = round(given['horizon'] * NS_PER_S)
+        """Length of a stretch; 0: unlimited."""
+        self._max_age_ns = round(given['max_age'] * NS_PER_S)
+        """Maximum age of a held value and maximum gap between samples; 0: unlimited."""
+        self._repeat, self._by_clock = given['repeat'], given['time_source'] == 'clock'
+        try:
+            if self._repeat and not self._horizon_ns:
+                raise UsageError('repeat: needs a horizon > 0')
+            self._sources = parse_signals(given['signals'])
+            units = {source.name: source.unit for source in self._sources}
+            self._specs = _parse_specs(given['specs'], units, self._horizon_ns)
+            self._assumptions = _parse_assumptions(
+                given['bounds'], given['rates'], list(units), self._specs
+            )
+            self._sampled_on = _sampler(given['sampled_on'], list(units))
+        except UsageError as error:
+            raise UsageError(f'{self.get_name()}: parameter {error}') from None
+
     def _make_readers(self) -> dict[str, TopicReader]:
         by_topic: dict[str, list[SignalSource]] = {}
-        for source in self._options.sources:
+        for source in self._sources:
             by_topic.setdefault(self._full_name(source), []).append(source)
         return {
             topic: TopicReader(self, topic, sources, self._arrive)
@@ -229,24 +200,22 @@ class LiveMonitor(Node):
             ) from None
 
     def _make_holder(self) -> SampleHold:
-        options = self._options
         topics = {
             source.name: topic for topic, reader in self._readers.items()
             for source in reader.sources
         }
         return SampleHold(
-            topics, sampled_on=topics[options.sampled_on], max_age_ns=options.max_age_ns
+            topics, sampled_on=topics[self._sampled_on], max_age_ns=self._max_age_ns
         )
 
     def _begin_stretch(self) -> None:
-        options = self._options
         self._stretch_number += 1
         self._run_id = f'stretch-{self._stretch_number}'
         self._seq = -1
         self._newest_ns = 0
         self._stretch = Stretch(
-            options.specs, horizon_ns=options.horizon_ns, max_gap_ns=options.max_age_ns,
-            assumptions=options.assumptions,
+            self._specs, horizon_ns=self._horizon_ns, max_gap_ns=self._max_age_ns,
+            assumptions=self._assumptions,
         )
 
     def _find_publishers(self) -> None:
@@ -264,7 +233,6 @@ class LiveMonitor(Node):
             self._publish_specs()
 
     def _publish_specs(self) -> None:
-        options = self._options
         signals = [
             {
                 'name': source.name, 'topic': topic, 'type': reader.type_name,
@@ -273,13 +241,13 @@ class LiveMonitor(Node):
             for topic, reader in self._readers.items() for source in reader.sources
         ]
         self._outputs['specs'].publish(outputs.specs_message(
-            options.specs, signals, sampled_on=options.sampled_on,
-            max_age=options.max_age_ns / NS_PER_S, horizon=options.horizon_ns / NS_PER_S,
-            time_source='clock' if options.by_clock else 'header',
+            self._specs, signals, sampled_on=self._sampled_on,
+            max_age=self._max_age_ns / NS_PER_S, horizon=self._horizon_ns / NS_PER_S,
+            time_source='clock' if self._by_clock else 'header',
         ))
 
     def _arrive(self, topic: str, stamp_ns: int | None, readings: Readings) -> None:
-        if stamp_ns is None or self._options.by_clock:
+        if stamp_ns is None or self._by_clock:
             stamp_ns = self.get_clock().now().nanoseconds
             self._clock_missing = stamp_ns == 0  # use_sim_time, and /clock is not published yet
             if self._clock_missing:
@@ -291,7 +259,7 @@ class LiveMonitor(Node):
     def _judge(self, sample: Sample) -> None:
         self._last_sample_ns = self._steady_ns()
         if self._stretch.ended:
-            if not self._options.repeat:
+            if not self._repeat:
                 return
             self._begin_stretch()
         beyond = self._stretch.beyond(sample.stamp_ns)
@@ -305,12 +273,12 @@ class LiveMonitor(Node):
             self._outputs['verdict'].publish(outputs.verdict_message(results))
             self._publish_status()
             self._log(changed)
-        if beyond and self._options.repeat:
+        if beyond and self._repeat:
             self._judge(sample)
 
     def _results(self) -> list[Any]:
         return outputs.robustness_messages(
-            self._options.specs, self._stretch.standings, self._newest_ns, self._run_id, self._seq
+            self._specs, self._stretch.standings, self._newest_ns, self._run_id, self._seq
         )
 
     def _restart(self, request: Any, response: Any) -> Any:
@@ -329,7 +297,7 @@ class LiveMonitor(Node):
         return response
 
     def _lines(self) -> list[str]:
-        pairs = zip(self._options.specs, self._stretch.standings, strict=True)
+        pairs = zip(self._specs, self._stretch.standings, strict=True)
         return [f'{spec.name} {standing_line(standing)}' for spec, standing in pairs]
 
     def _log(self, changed: list[bool]) -> None:
@@ -362,7 +330,7 @@ class LiveMonitor(Node):
         return f'waiting for a value of {missing}'
 
     def _silence(self) -> str:
-        limit_ns = self._options.max_age_ns
+        limit_ns = self._max_age_ns
         silent_ns = self._steady_ns() - self._last_sample_ns
         if self._stretch.ended or not limit_ns or silent_ns <= limit_ns:
             return ''
@@ -372,7 +340,7 @@ class LiveMonitor(Node):
         """Publish the current diagnostics."""
         node, awaited = self.get_name(), self._awaited()
         silence = awaited or self._silence()
-        pairs = zip(self._options.specs, self._stretch.standings, strict=True)
+        pairs = zip(self._specs, self._stretch.standings, strict=True)
         statuses = [
             outputs.spec_status(node, spec, standing, silence) for spec, standing in pairs
         ]

@@ -316,26 +316,6 @@ class Restart(enum.StrEnum):
     ON_FAILURE = 'on-failure'
 
 
-@dataclass(frozen=True, kw_only=True)
-class SupervisionOptions:
-    """How a graph is supervised.
-
-    Attributes:
-        restart: what to do when a node dies.
-        limit: maximum number of restarts of a node within ``window_s``.
-        window_s: see ``limit`` [s].
-        ready_s: timeout until the graph is complete [s].
-        silent_s: silence after which a node is reported [s]; after three times that it is killed,
-            if dead nodes are restarted.
-    """
-
-    restart: Restart = Restart.ON_FAILURE
-    limit: int = 3
-    window_s: float = 60.0
-    ready_s: float = 30.0
-    silent_s: float = 10.0
-
-
 class GraphLostError(Exception):
     """The graph cannot continue. The message is one line."""
 
@@ -354,22 +334,40 @@ class Supervisor(Node):
     def __init__(
         self,
         processes: list[NodeProcess],
-        care: SupervisionOptions,
         say: Callable[[str], None],
+        *,
+        restart: Restart = Restart.ON_FAILURE,
+        limit: int = 3,
+        window_s: float = 60.0,
+        ready_s: float = 30.0,
+        silent_s: float = 10.0,
         **node: Any,
     ) -> None:
-        """Start supervision of processes just started; ``say`` is called with a line per event."""
+        """Start supervision of processes just started.
+
+        Args:
+            processes: the processes of the graph.
+            say: called with a line per event.
+            restart: what to do when a node dies.
+            limit: maximum number of restarts of a node within ``window_s``.
+            window_s: see ``limit`` [s].
+            ready_s: timeout until the graph is complete [s].
+            silent_s: silence after which a node is reported [s]; after three times that it is
+                killed, if dead nodes are restarted.
+            node: goes to :class:`rclpy.node.Node`.
+        """
         super().__init__(interface.SUPERVISOR, start_parameter_services=False, **node)
-        times = care.limit if care.restart is Restart.ON_FAILURE else 0
+        times = limit if restart is Restart.ON_FAILURE else 0
         self.nodes = [
             WatchedNode(
                 process=process, pulse=Pulse(self, process.name),
-                limit=RestartLimit(times, care.window_s),
+                limit=RestartLimit(times, window_s),
             )
             for process in processes
         ]
         self._names = [watched.name for watched in self.nodes]
-        self._care, self._say = care, say
+        self._restart, self._limit, self._window_s = restart, limit, window_s
+        self._ready_s, self._silent_s, self._say = ready_s, silent_s, say
         self.runs = RunWatch(self, say)
         self.ready = False
         self.ended = Future()
@@ -428,11 +426,11 @@ class Supervisor(Node):
                     self._say(f'{watched.name} is ready again')
         late = [
             watched for watched in self.nodes
-            if watched.state is State.STARTING and now_s - watched.started_s > self._care.ready_s
+            if watched.state is State.STARTING and now_s - watched.started_s > self._ready_s
         ]
         if late:
             words = '; '.join(f'{w.name} {why.get(w.name, "does not answer")}' for w in late)
-            limit = f'not ready within {self._care.ready_s:g} s'
+            limit = f'not ready within {self._ready_s:g} s'
             raise GraphLostError(f'{limit}: {words}; {_logs(late)}')
         if not self.ready and all(watched.state is State.READY for watched in self.nodes):
             self.ready = True
@@ -452,12 +450,12 @@ class Supervisor(Node):
         number = watched.limit.spend(now_s)
         if not number:
             words = f'{watched.name} died: {detail}'
-            if self._care.restart is Restart.ON_FAILURE:
-                words += f'; it has died {self._care.limit + 1} times in {self._care.window_s:g} s'
+            if self._restart is Restart.ON_FAILURE:
+                words += f'; it has died {self._limit + 1} times in {self._window_s:g} s'
             raise GraphLostError(f'{words}; {_logs([watched])}')
         self._say(
-            f'{watched.name} died: {detail}; restarted ({number} of {self._care.limit} in '
-            f'{self._care.window_s:g} s)'
+            f'{watched.name} died: {detail}; restarted ({number} of {self._limit} in '
+            f'{self._window_s:g} s)'
         )
         watched.gone |= ends_of(self, watched.name)
         watched.process.start()
@@ -468,7 +466,7 @@ class Supervisor(Node):
         """Report nodes that stop answering, and those that answer again."""
         watched.pulse.ask(now_s)
         silence_s = now_s - watched.pulse.heard_s
-        if silence_s <= self._care.silent_s:
+        if silence_s <= self._silent_s:
             if watched.state is State.SILENT:
                 self._say(f'{watched.name} answers again')
                 watched.become(State.READY, now_s)
@@ -476,8 +474,8 @@ class Supervisor(Node):
             watched.become(State.SILENT, now_s)
             self._say(f'{watched.name} is silent: {self._why_silent(watched)}')
         elif (
-            self._care.restart is Restart.ON_FAILURE
-            and silence_s > _KILL_AFTER * self._care.silent_s
+            self._restart is Restart.ON_FAILURE
+            and silence_s > _KILL_AFTER * self._silent_s
         ):
             self._say(f'{watched.name} is killed: silent for {silence_s:.0f} s')
             watched.process.kill()
@@ -486,7 +484,7 @@ class Supervisor(Node):
         pid = watched.process.pid
         if is_stopped(pid):
             return f'its process is stopped; resume it with kill -CONT {pid}'
-        return f'no answer for {self._care.silent_s:g} s'
+        return f'no answer for {self._silent_s:g} s'
 
     # The end ---------------------------------------------------------------------------------
 

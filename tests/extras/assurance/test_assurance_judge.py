@@ -16,7 +16,6 @@ from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.assurance.calibrate import (
-    CalibrateOptions,
     calibrate,
     check_share,
     fit_kinematics,
@@ -232,8 +231,8 @@ def judging(tmp_path):
 @pytest.mark.nightly
 def test_given_a_calibration_then_its_monitor_is_judged(tmp_path, judging, capsys):
     few = {name: judging[name] for name in ('perception', 'program', 'seed', 'workers')}
-    made = CalibrateOptions(**few, runs=4, rate=0.9, out=tmp_path / 'b.npz')
-    assert calibrate(made, no_progress).runs == 4
+    made = calibrate(no_progress, **few, runs=4, rate=0.9, out=tmp_path / 'b.npz')
+    assert made.runs == 4
     options = JudgeOptions(
         **{**judging, 'monitor': str(tmp_path / 'b.npz')}, out=tmp_path / 'out')
     assert run_judge(options, as_json=False) == 0
@@ -332,4 +331,4 @@ def test_given_bad_options_then_they_are_named(changed, said, tmp_path):
         'workers': 1, 'out': 'x.npz', **changed,
     }
     with pytest.raises(UsageError, match=said):
-        CalibrateOptions(**{**given, 'out': tmp_path / given['out']})
+        calibrate(no_progress, **{**given, 'out': tmp_path / given['out']})

@@ -13,15 +13,14 @@ from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.evidence.argument import goals
-from taxinet_ros.extras.evidence.evidence import EvidenceOptions, collect, parse_claim
+from taxinet_ros.extras.evidence.evidence import collect, parse_claim
 from taxinet_ros.extras.evidence.inputs import read_requirement
 
 
 def collected(*folders, requirement=None, **options):
     words = None if requirement is None else read_requirement(requirement)
     return collect(
-        EvidenceOptions(campaigns=folders, requirement=words, **options),
-        folders[0].parent / 'evidence',
+        folders, folders[0].parent / 'evidence', requirement=words, **options,
     ).content
 
 

@@ -30,7 +30,6 @@ from taxinet_ros.nodes.node_check import (
     CLAUSES,
     ROLES,
     SIDES,
-    CheckOptions,
     End,
     Finding,
     Question,
@@ -81,10 +80,10 @@ def check(words: list[str], role: str | None, patience_s: float) -> tuple[dict[s
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / 'node.log'
         log.touch()
-        report = check_node(CheckOptions(
-            start=command_starter([sys.executable, *words]), role=role, domain=None, frames=8,
+        report = check_node(
+            command_starter([sys.executable, *words]), role, print, domain_id=None, frames=8,
             patience_s=patience_s, log=log,
-        ), print)
+        )
         return {one.clause.name: one for one in report.findings}, log.read_text()
 
 

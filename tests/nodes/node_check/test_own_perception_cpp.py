@@ -16,7 +16,7 @@ import pytest
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.nodes.node_check import CheckOptions, Status, check_node, command_starter
+from taxinet_ros.nodes.node_check import Status, check_node, command_starter
 
 pytestmark = pytest.mark.nightly
 
@@ -83,10 +83,10 @@ def test_given_rclcpp_then_the_package_builds_and_its_node_keeps_the_contract(tm
         subprocess.run([cmake, *words], check=True, env=environment)
     log = tmp_path / 'node.log'
     log.touch()
-    report = check_node(CheckOptions(
-        start=command_starter([str(build / 'own_perception')]), role='perception', domain=None,
+    report = check_node(
+        command_starter([str(build / 'own_perception')]), 'perception', print, domain_id=None,
         frames=24, patience_s=600.0, log=log,
-    ), print)
+    )
     found = {one.clause.name: one for one in report.findings}
     assert {one.status for one in found.values()} == {Status.PASS, Status.NOTE}, found
     assert 'CTE 0.0' in found['accuracy'].came
