@@ -24,11 +24,12 @@ from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
+from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.trials.options import CampaignOptions
-from taxinet_ros.trials.record.book import CampaignBook
+from taxinet_ros.trials.record.book import CampaignBook, finished_row
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import facts_of_runs
-from taxinet_ros.trials.record.resumption import earlier_runs
+from taxinet_ros.trials.record.resumption import check_same_campaign, unfinished_search
 from taxinet_ros.trials.record.table import campaign_table
 
 SIZES = (1_000, 10_000)
@@ -64,7 +65,7 @@ def record(folder: Path, runs: int) -> None:
         for index in range(runs):
             request = book.begin_run(index, scenes[index % len(scenes)])
             rho = draw.uniform(-0.1, 0.9)
-            book.keep(book.finished_row(request, RunResult(
+            book.keep(finished_row(asked, request, RunResult(
                 outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
                 robustness={asked.judging.headline: RobustnessInterval.exactly(rho)},
                 last_seq=300, wall_s=draw.uniform(0.3, 0.5), statistics=RunStatistics(
@@ -90,7 +91,9 @@ def resume(folder: Path, runs: int) -> None:
     """Open a campaign and see what is done, as ``falsify --resume`` does."""
     asked = _options(folder, runs)
     with CampaignBook(asked, ('perception',), resume=True) as book:
-        assert len(earlier_runs(folder, book.earlier, _facts(asked)).rows) == runs
+        check_same_campaign(folder, book.earlier, _facts(asked))
+        assert not unfinished_search(book.earlier, LAG)[1]
+        assert len(book.earlier.by_index) == runs
 
 
 STEPS: dict[str, Callable[[Path, int], None]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,13 @@ from taxinet_ros.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.scenes.source import Refused, Rejected, program_text
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
+from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
+from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
+from taxinet_ros.trials.sequential import decision
+from taxinet_ros.trials.stop import StopRule
 
 SPACE = SearchSpace(choices=tuple(
     Choice(dimension=Dimension(name=name), feeds=frozenset({name})) for name in ('x', 'y')
@@ -154,3 +158,16 @@ def same_table(one: Path, other: Path) -> None:
     tables = [read_table(folder).drop(columns=list(WALL_CLOCK_COLUMNS)) for folder in (one, other)]
     assert len(tables[0]) > 0
     pd.testing.assert_frame_equal(*tables)
+
+
+def is_met(rule: StopRule, rows: Sequence[RunRow]) -> bool:
+    """Whether the runs from 0 on meet a stop rule, by a walk over all of them."""
+    if rule.test is not None:
+        bad = [rule.test.is_bad(row) for row in rows if row.outcome.judged and row.from_program]
+        bad = bad[:bad.index(None)] if None in bad else bad
+        ends = (decision(rule.test, sum(bad[:runs]), runs) for runs in range(1, len(bad) + 1))
+        return any(ends)
+    if rule.kind == 'failures':
+        return sum(row.outcome is Outcome.FAIL for row in rows) >= rule.value
+    found = failure_rate(rows, 0).rate
+    return found is not None and (found.high - found.low) / 2 <= rule.value

@@ -33,8 +33,7 @@ from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import PAPER_FIELDS
-from taxinet_ros.files.atomic import make_atomically
-from taxinet_ros.files.sealed_table import write_table
+from taxinet_ros.files.atomic import make_atomically, write_parquet
 from taxinet_ros.trials.past_runs.localisation import Trials
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.trials.past_runs.trials import Trial
@@ -337,7 +336,7 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
     frame = cases_frame(found)
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
     make_atomically(csv, lambda draft: frame.to_csv(draft, index=False))
-    write_table(parquet, frame)
+    write_parquet(parquet, frame)
     return csv, parquet
 
 # Sentences ---------------------------------------------------------------------------------------

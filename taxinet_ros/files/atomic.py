@@ -7,7 +7,10 @@ import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:  # slow import that should not delay a run
+    import pandas as pd
 
 T = TypeVar('T')
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -101,3 +104,14 @@ def make_atomically(path: Path, make: Callable[[Path], T], *, sync: bool = True)
         with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)
     return made
+
+
+def write_parquet(path: Path, frame: pd.DataFrame) -> None:
+    """Write a table atomically, with its ``attrs`` and a checksum of each page; without its index.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    make_atomically(path, lambda draft: frame.to_parquet(
+        draft, index=False, write_page_checksum=True
+    ))

@@ -288,15 +288,30 @@ def repaired(record: Record) -> None:
     record.remove(_LOST)
 
 
-def record_trouble(path: Path) -> str:
-    """What is wrong with a record, by SQLite's integrity check and our digests; '' if nothing."""
+def examine_record(path: Path, as_text: Collection[str] = ()) -> Entries:
+    """Read a record after SQLite's integrity check; raises as :func:`read_record`."""
+    with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
+        found = [str(line) for line, in connection.execute('PRAGMA integrity_check')]
+    entries = read_record(path, as_text)
+    if found != ['ok']:
+        raise UsageError(f'{path}: damaged ({found[0]:.80})')
+    return entries
+
+
+@contextlib.contextmanager
+def no_writer(path: Path) -> Iterator[bool]:
+    """Context in which no command may begin to write a record; False if one writes it already."""
     try:
-        with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
-            found = [str(line) for line, in connection.execute('PRAGMA integrity_check')]
-        read_record(path)
-    except (UsageError, OSError) as error:
-        return str(error).removeprefix(f'{path}: ')
-    return '' if found == ['ok'] else found[0]
+        lock = _lock(path)
+    except UsageError:
+        yield False
+    except OSError:  # nothing may be written here
+        yield True
+    else:
+        try:
+            yield True
+        finally:
+            _unlock(path, lock)
 
 
 # SQLite -----------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -22,8 +21,6 @@ from taxinet_ros.files.reading import open_regular, read_file
 
 _SEAL, _CHECKSUM = 'seal', 'checksum'
 _END = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
-_END_BYTES = 128
-"""More than the last lines have."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -101,17 +98,6 @@ def read_sealed(path: Path) -> SealedJson:
         return SealedJson(values=values, files=files)
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise _damaged(path, str(error)) from error
-
-
-def is_sealed(path: Path) -> bool:
-    """Whether a file ends as a sealed one does.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    with path.open('rb') as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - _END_BYTES))
-        return _END.search(file.read()) is not None
 
 
 def file_sha256(path: Path) -> str:

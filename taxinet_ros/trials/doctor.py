@@ -10,7 +10,6 @@ or missing otherwise is made again by ``--resume``.
 
 from __future__ import annotations
 
-import contextlib
 import io
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -24,7 +23,7 @@ from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import DRAFTS
-from taxinet_ros.files.record import RECORD_NAME, Record, read_entry, read_record, record_trouble
+from taxinet_ros.files.record import RECORD_NAME, examine_record, no_writer, read_entry
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.trials.experiment import JSON_NAME as EXPERIMENT_NAME
 from taxinet_ros.trials.options import AUDIT_FOLDER
@@ -33,7 +32,6 @@ from taxinet_ros.trials.record.content import (
     AS_TEXT,
     CampaignContent,
     campaign_content,
-    read_campaign,
     run_key,
 )
 from taxinet_ros.trials.record.facts import ARM, BEGUN, FACTS, is_campaign
@@ -151,12 +149,33 @@ def _check_record(
 ) -> None:
     for path in _files(folder, '*.db', found):
         found.count('records', path=path)
-        if why := record_trouble(path):
-            found.report(path, why, _RESUME)
-        elif read_entry(path, FACTS) is not None:
-            _check_campaign(folder, found, on_bag)
+        try:
+            content = _examined(path, found)
+        except (UsageError, OSError) as error:
+            found.report(path, error, _RESUME)
         else:
-            _check_stages(folder, read_record(path).get(_STAGE, {}), found)
+            if content is not None:
+                _check_campaign(folder, content, found, on_bag)
+
+
+def _examined(path: Path, found: Examination) -> CampaignContent | None:
+    """Content of a campaign's record; its tables are made again if they do not say the same.
+
+    Meanwhile no command can write it. The tables of a campaign that is running are not checked.
+    """
+    folder = path.parent
+    with no_writer(path) as quiet:
+        entries = examine_record(path, AS_TEXT)
+        if FACTS not in entries or path.name != RECORD_NAME:
+            _check_stages(folder, entries.get(_STAGE, {}), found)
+            return None
+        content = campaign_content(path, entries)
+        found.count('runs', len(content.rows))
+        if quiet:
+            _check_tables(folder, content, found)
+        else:
+            found.notes.append(f'{folder}: its campaign is running, so its tables are not checked')
+    return content
 
 
 def _check_stages(
@@ -174,13 +193,8 @@ def _check_stages(
 
 
 def _check_campaign(
-    folder: Path, found: Examination, on_bag: Callable[[Path], None]
+    folder: Path, content: CampaignContent, found: Examination, on_bag: Callable[[Path], None]
 ) -> None:
-    try:
-        content = _checked_tables(folder, found)
-    except UsageError as error:
-        found.report(folder / RECORD_NAME, error, _RESUME)
-        return
     arm = content.facts.get(ARM, folder.name)
     if arm != folder.name and (folder.parent / EXPERIMENT_NAME).is_file():
         found.report(folder, f'is arm {arm} of its experiment; was it renamed or exchanged?')
@@ -189,29 +203,6 @@ def _check_campaign(
             on_bag(folder / row.bag)
             _check_bag(folder / row.bag, row, content.facts, found)
     _check_runs(folder, content, found)
-
-
-def _checked_tables(folder: Path, found: Examination) -> CampaignContent:
-    """Content of a campaign, with its tables made again if they do not say what it says.
-
-    Meanwhile no command can write it. The tables of a campaign that is running are not checked.
-    """
-    path, running = folder / RECORD_NAME, False
-    with contextlib.ExitStack() as opened:
-        try:
-            record = opened.enter_context(Record(path, create=False, as_text=AS_TEXT))
-        except OSError:  # nothing may be written here
-            content = read_campaign(folder)
-        except UsageError:
-            content, running = read_campaign(folder), True
-        else:
-            content = campaign_content(path, record.entries)
-        found.count('runs', len(content.rows))
-        if running:
-            found.notes.append(f'{folder}: its campaign is running, so its tables are not checked')
-        else:
-            _check_tables(folder, content, found)
-    return content
 
 
 def _check_tables(folder: Path, content: CampaignContent, found: Examination) -> None:

@@ -71,8 +71,8 @@ class Proposer(abc.ABC):
         """
         return {}, {}
 
-    def stop_reason(self, rows: Sequence[RunRow]) -> str:
-        """Why no more runs are needed although some are left, given the rows so far; or ''."""
+    def stop_reason(self) -> str:
+        """Why no more runs are needed although some are left, by the rows taken; or ''."""
         return ''
 
     @abc.abstractmethod
@@ -253,7 +253,7 @@ class Engine(Generic[P_co]):
         runs = self.proposer.runs
         if self.stopped or self.interrupted or (runs is not None and self._asked >= runs):
             return False
-        self.stopped = self.proposer.stop_reason(self.rows)
+        self.stopped = self.proposer.stop_reason()
         return not self.stopped
 
     def _begin(self, index: int) -> RunRequest | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -65,7 +65,7 @@ from taxinet_ros.trials.record.resumption import (
 )
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY
-from taxinet_ros.trials.stop import StopRule, parse_stop_rule
+from taxinet_ros.trials.stop import StopCount, StopRule, parse_stop_rule
 
 PATIENCE = 3
 """Number of consecutive infrastructure errors in one session that end the search."""
@@ -128,6 +128,9 @@ class Search(Proposer):
         self._repeated: Mapping[int, RunRow] = {}
         self._unknown: frozenset[int] = frozenset()
         self._started_s = 0.0
+        self._count = None if stop is None else StopCount(stop)
+        self._uncounted: dict[int, RunRow] = {}
+        self._next_counted = 0
 
     @property
     def space(self) -> SearchSpace:
@@ -144,16 +147,19 @@ class Search(Proposer):
 
     # Proposing ---------------------------------------------------------------------------------
 
-    def stop_reason(self, rows: Sequence[RunRow]) -> str:
+    def stop_reason(self) -> str:
         """See :class:`.Proposer`. Uses the results that the next run depends on.
 
         So it is independent of the workers.
         """
         if not self._sampler.ready or len(self._points) < self._begun:
             return ''
-        known = [row for row in rows if row.index < self._sampler.due]
-        if self.stop is not None and self.stop.is_met(known):
-            return self.stop.reached
+        if self._count is not None and self.stop is not None:
+            while self._next_counted < self._sampler.due:
+                self._count.take(self._uncounted.pop(self._next_counted))
+                self._next_counted += 1
+            if self._count.is_met:
+                return self.stop.reached
         if self.budget_s is not None and time.monotonic() - self._started_s > self.budget_s:
             return f'the budget of {self.budget_s / 60:g} min is spent'
         return ''
@@ -222,6 +228,8 @@ class Search(Proposer):
         if row.outcome is Outcome.REJECTED and self._sampler.hears_refusals:
             known = self.source.feedback
         self._sampler.tell(row.index, known)
+        if self._count is not None:
+            self._uncounted[row.index] = row
 
     def hear(self, facts: Mapping[str, Any], result: RunResult) -> Mapping[str, Any]:
         """See :class:`.Proposer`."""

@@ -227,7 +227,7 @@ def decision(test: SequentialTest, bad: int, runs: int) -> Decision | None:
     return Decision.BELOW_DESIGN if bad >= below else None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True)
 class Course:
     """How far a test has come on a campaign.
 
@@ -240,12 +240,28 @@ class Course:
             test; or None.
     """
 
-    decision: Decision | None
-    runs: int
-    bad: int
-    index: int | None
-    later: int
+    decision: Decision | None = None
+    runs: int = 0
+    bad: int = 0
+    index: int | None = None
+    later: int = 0
     unknown: int | None = None
+
+    def take(self, row: RunRow, test: SequentialTest) -> None:
+        """Go on with the next run in the order of their numbers."""
+        if not row.outcome.judged or not row.from_program or self.unknown is not None:
+            return
+        if self.decision is not None:
+            self.later += 1
+            return
+        is_bad = test.is_bad(row)
+        if is_bad is None:
+            self.unknown = row.index
+            return
+        self.runs, self.bad = self.runs + 1, self.bad + is_bad
+        self.decision = decision(test, self.bad, self.runs)
+        if self.decision is not None:
+            self.index = row.index
 
 
 def course(
@@ -264,22 +280,11 @@ def course(
     """
     listed = sorted(rows, key=lambda row: row.index)
     end = without_gaps({row.index: row.outcome for row in listed}, planned)
-    counted = [
-        row for row in listed if row.index < end and row.outcome.judged and row.from_program
-    ]
-    bad = 0
-    for number, row in enumerate(counted, 1):
-        is_bad = test.is_bad(row)
-        if is_bad is None:
-            return Course(
-                decision=None, runs=number - 1, bad=bad, index=None, later=0, unknown=row.index
-            )
-        bad += is_bad
-        if (found := decision(test, bad, number)) is not None:
-            return Course(
-                decision=found, runs=number, bad=bad, index=row.index, later=len(counted) - number
-            )
-    return Course(decision=None, runs=len(counted), bad=bad, index=None, later=0)
+    found = Course()
+    for row in listed:
+        if row.index < end:
+            found.take(row, test)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

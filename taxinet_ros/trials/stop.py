@@ -7,18 +7,17 @@ number of runs (:mod:`taxinet_ros.trials.rates`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.rates import failure_rate
+from taxinet_ros.trials.rates import rate
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.sequential import (
     MAX_OFF_RUNWAY,
     MIN_SATISFACTION,
+    Course,
     SequentialTest,
-    course,
     parse_test,
 )
 
@@ -54,14 +53,37 @@ class StopRule:
         """Whether it can only be met by runs that the program itself draws."""
         return self.kind != FAILURES
 
-    def is_met(self, rows: Sequence[RunRow]) -> bool:
-        """Whether these runs meet the rule."""
-        if self.test is not None:
-            return course(rows, self.test).decision is not None
-        if self.kind == FAILURES:
-            return sum(row.outcome is Outcome.FAIL for row in rows) >= self.value
-        found = failure_rate(rows, 0).rate
-        return found is not None and (found.high - found.low) / 2 <= self.value
+
+class StopCount:
+    """What a rule needs of the runs so far, which are given in the order of their numbers."""
+
+    def __init__(self, rule: StopRule) -> None:
+        """No run is counted yet."""
+        self._rule = rule
+        self._failed = self._drawn = self._drawn_failed = 0
+        self._course = Course()
+
+    def take(self, row: RunRow) -> None:
+        """Count the next run, which has a result."""
+        failed = row.outcome is Outcome.FAIL
+        self._failed += failed
+        if row.outcome.judged and row.from_program:
+            self._drawn += 1
+            self._drawn_failed += failed
+        if self._rule.test is not None:
+            self._course.take(row, self._rule.test)
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the runs so far meet the rule."""
+        if self._rule.test is not None:
+            return self._course.decision is not None
+        if self._rule.kind == FAILURES:
+            return self._failed >= self._rule.value
+        if not self._drawn:
+            return False
+        found = rate(self._drawn_failed, self._drawn, anytime=True)
+        return (found.high - found.low) / 2 <= self._rule.value
 
 
 def parse_stop_rule(text: str) -> StopRule:

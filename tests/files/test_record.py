@@ -21,10 +21,10 @@ import pytest
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.record import (
     Record,
+    examine_record,
     read_entry,
     read_record,
     record_kinds,
-    record_trouble,
     repair_record,
     repaired,
 )
@@ -50,7 +50,7 @@ def test_what_was_written_is_read_back(tmp_path: Path) -> None:
     path = make(tmp_path / 'new' / 'campaign.db')
     assert read_record(path) == {'facts': {'': FACTS}, 'row': ROWS}
     assert [file.name for file in path.parent.iterdir()] == ['campaign.db']
-    assert record_trouble(path) == ''
+    assert examine_record(path) == read_record(path)
     with Record(path) as record:
         assert record.entries['row'] == ROWS
         record.put_all([('row', '00000000', 'another'), ('row', '00000040', None)])
@@ -173,7 +173,8 @@ def test_damage_is_refused_or_harmless(tmp_path: Path, whole: bytes) -> None:
             assert read_record(path) == expected
         except UsageError:
             refused += 1
-            assert record_trouble(path)
+            with pytest.raises(UsageError):
+                examine_record(path)
     assert refused > 350
 
 

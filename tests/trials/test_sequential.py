@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import falsify_samples as toy
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -27,7 +28,7 @@ from taxinet_ros.trials.sequential import (
     parse_test,
     simulate,
 )
-from taxinet_ros.trials.stop import parse_stop_rule
+from taxinet_ros.trials.stop import StopCount, parse_stop_rule
 
 TESTS = {
     'spread bets at 86 %': 'min-satisfaction=0.86',
@@ -211,3 +212,28 @@ def test_given_runs_stopped_too_early_then_the_runway_test_ends_there():
     rows[7] = row(7, Outcome.PASS, left_runway=None)
     found = course(rows, test)
     assert (found.decision, found.runs, found.unknown) == (None, 7, 7)
+
+
+OUTCOMES = (Outcome.PASS, Outcome.FAIL, Outcome.REJECTED, Outcome.INFRA_ERROR)
+
+
+@settings(deadline=None)
+@given(st.data())
+@pytest.mark.parametrize('text', [
+    'failures=3', 'half-width=0.2', 'min-satisfaction=0.7', 'max-off-runway=0.4',
+    'min-satisfaction=0.7,design=0.9,confidence=0.7',
+])
+def test_given_runs_one_by_one_then_a_rule_is_met_as_by_a_walk_over_all_of_them(text, data):
+    rule = parse_stop_rule(text)
+    count, rows = StopCount(rule), []
+    share = data.draw(st.sampled_from((0, 2, 9)))
+    choices = [Outcome.PASS] * share + [*OUTCOMES] + [Outcome.FAIL] * (9 - share)
+    for index in range(data.draw(st.integers(1, 40))):
+        outcome = data.draw(st.sampled_from(choices))
+        off = data.draw(st.sampled_from((False,) * share + (True, True, None))) \
+            if outcome.judged else None
+        drawn = data.draw(st.sampled_from((True, True, False, None)))
+        kind = {'kind': 'died'} if outcome is Outcome.INFRA_ERROR else {}
+        rows.append(row(index, outcome, drawn=drawn, left_runway=off, **kind))
+        count.take(rows[-1])
+        assert count.is_met == toy.is_met(rule, rows)

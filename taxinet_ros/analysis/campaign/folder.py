@@ -25,9 +25,8 @@ from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import make_atomically, make_folder, write_atomically
+from taxinet_ros.files.atomic import make_atomically, make_folder, write_atomically, write_parquet
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
-from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME
 
 SCHEMA, VERSION = 'taxinet-analysis', 1
@@ -206,7 +205,7 @@ def _write_runs(findings: Findings, out: Path) -> None:
     """All judged runs with cause and group, as CSV and Parquet."""
     frame = explained_runs(findings)
     make_atomically(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
-    write_table(out / PARQUET_NAME, frame)
+    write_parquet(out / PARQUET_NAME, frame)
 
 
 def _written_before(out: Path) -> list[str] | None:

@@ -190,7 +190,7 @@ def _driven(
     """Drive the networks through the scenes, and write their tables; None if interrupted."""
     from taxinet_ros.analysis.runs.campaign import runs_of
     from taxinet_ros.cli.progress import trial_bar
-    from taxinet_ros.files.sealed_table import write_table
+    from taxinet_ros.files.atomic import write_parquet
     from taxinet_ros.trials.past_runs.shared_scenes import SharedTrials
 
     tables: list[CampaignRuns] = []
@@ -205,7 +205,7 @@ def _driven(
             if len(found) < len(scenes.scenes):
                 return None
             frame = trials.table(network)
-            write_table(out / name, frame)
+            write_parquet(out / name, frame)
             tables.append(runs_of(frame, out / name))
     return tables
 

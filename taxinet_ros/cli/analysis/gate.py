@@ -265,7 +265,7 @@ def _driven(network: str, baseline: Path, out: Path | None, workers: int) -> _Ju
     """The network's runs in the baseline's scenes, finished ones kept in the folder."""
     from taxinet_ros.cli.progress import trial_bar
     from taxinet_ros.core.perception.perception import check_perception, network_doubts
-    from taxinet_ros.files.sealed_table import write_table
+    from taxinet_ros.files.atomic import write_parquet
     from taxinet_ros.trials.options import DEFAULT_ROOT
     from taxinet_ros.trials.past_runs.shared_scenes import SharedTrials, scenes_of
     from taxinet_ros.trials.record.table import PARQUET_NAME
@@ -300,7 +300,7 @@ def _driven(network: str, baseline: Path, out: Path | None, workers: int) -> _Ju
             **scenes.judging.facts(),
         },
     )
-    write_table(out / PARQUET_NAME, judged.table())
+    write_parquet(out / PARQUET_NAME, judged.table())
     return judged
 
 
@@ -319,14 +319,14 @@ def _left_table(judged: _Judged, junit: Path | None) -> Path | None:
 
     The folder of a campaign is only read, since the campaign may be running.
     """
-    from taxinet_ros.files.sealed_table import write_table
+    from taxinet_ros.files.atomic import write_parquet
     from taxinet_ros.trials.record.table import PARQUET_NAME
 
     own = judged.folder / PARQUET_NAME
     if junit is None or judged.again:
         return own if own.is_file() else None
     beside = _beside(junit)
-    write_table(beside, judged.table())
+    write_parquet(beside, judged.table())
     return beside
 
 

@@ -31,8 +31,8 @@ from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.cli.run.campaign import run_on_workers
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError, plain_line
+from taxinet_ros.files.atomic import write_parquet
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.files.sealed_table import write_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.trials.campaign import exit_code
@@ -263,7 +263,7 @@ def _report(
     found = paired_arms(experiment, rows)
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
-    write_table(pairs, frame)
+    write_parquet(pairs, frame)
     write_sealed(out / JSON_NAME, values, [pairs])
     pictures = write_pictures(report, out)
     write_report_page(report, out / PAGE_NAME)

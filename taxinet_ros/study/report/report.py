@@ -18,8 +18,7 @@ from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.sealed_table import write_table
+from taxinet_ros.files.atomic import write_atomically, write_parquet
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
 from taxinet_ros.study.report.figures import (
     day_pictures,
@@ -117,7 +116,7 @@ def write_study_report(
     except OSError as error:
         raise UsageError(f'{folder}: cannot be made: {error.strerror}') from error
     for name, frame in found.frames().items():
-        write_table(folder / f'{name}.parquet', frame)
+        write_parquet(folder / f'{name}.parquet', frame)
     report = study_report(found)
     write_pictures(report, folder)
     write_report_page(report, folder / PAGE_NAME)

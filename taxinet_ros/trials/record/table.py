@@ -12,9 +12,8 @@ from taxinet_ros.bag.layout import is_bag_name, is_run_name
 from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import UsageError, warn_once
-from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.sealed_table import is_sealed_table, write_table
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_atomically, write_parquet
 from taxinet_ros.trials.record.columns import (
     ATTRIBUTES,
     FREE,
@@ -133,7 +132,7 @@ def write_tables(rows: Iterable[RunRow], folder: Path, facts: Mapping[str, Any])
     """
     frame = _campaign_table(rows, facts)
     write_atomically(folder / CSV_NAME, csv_text(frame))
-    write_table(folder / PARQUET_NAME, frame)
+    write_parquet(folder / PARQUET_NAME, frame)
 
 
 def csv_text(frame: pd.DataFrame) -> str:
@@ -155,34 +154,24 @@ def read_table(path: Path) -> pd.DataFrame:
         path = path / PARQUET_NAME
     if not path.is_file():
         raise UsageError(f'{path}: no such table; is {path.parent} a campaign?')
-    data = path.read_bytes()
-    if not is_sealed_table(path, data):
-        warn_once(f'{path}: is unverified, since it has no checksum')
-    frame = _frame_of(path, data)
+    frame = read_any_table(path)
     _check_rows(path, frame)
     return frame
 
 
 def read_any_table(path: Path) -> pd.DataFrame:
-    """Read a table of runs, with or without checksum, with the types of :func:`table`.
+    """Read a table of runs with the types of :func:`table`.
 
     Raises:
-        UsageError: it is damaged, or differs from the checksum in it.
+        UsageError: it is damaged.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise _damaged(path, error) from error
-    is_sealed_table(path, data)
-    return _frame_of(path, data)
-
-
-def _frame_of(path: Path, data: bytes) -> pd.DataFrame:
     import pyarrow.parquet
 
     try:
-        columns = pyarrow.parquet.read_table(pyarrow.BufferReader(data))
+        data = pyarrow.BufferReader(path.read_bytes())
+        columns = pyarrow.parquet.read_table(data, page_checksum_verification=True)
         columns.validate(full=True)  # such as invalid UTF-8
+        _check_names(columns.schema)
         frame = columns.to_pandas()
     except Exception as error:  # third-party reader on untrusted bytes
         raise _damaged(path, error) from error
@@ -199,6 +188,15 @@ def _frame_of(path: Path, data: bytes) -> pd.DataFrame:
         raise _damaged(path, error) from error
     _add_what_was_so(frame)
     return frame
+
+
+def _check_names(schema: pa.Schema) -> None:
+    """Check the names of columns, which no page checksum covers, against those of pandas."""
+    listed = (schema.pandas_metadata or {}).get('columns', [])
+    names = [each['field_name'] for each in listed]
+    other = [name for each in listed if (name := each['name']) is not None]
+    if listed and (names != schema.names or not {*map(str, other)} <= {*names}):
+        raise ValueError('the names of its columns contradict each other')
 
 
 def _add_what_was_so(frame: pd.DataFrame) -> None:

@@ -101,7 +101,7 @@ class Shrinking(Proposer):
         }
         return done, {}
 
-    def stop_reason(self, rows: Sequence[RunRow]) -> str:
+    def stop_reason(self) -> str:
         """See :class:`.Proposer`."""
         return self.search.state.end.value
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import random
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -117,26 +116,13 @@ def test_given_no_table_or_a_damaged_one_when_read_then_one_line_says_so(tmp_pat
     with pytest.raises(UsageError, match='no such table'):
         read_table(tmp_path)
     path = write(mixed(), tmp_path) / 'runs.parquet'
-    sound, chance = path.read_bytes(), random.Random(2)
-    for _ in range(100):
-        data = bytearray(sound)
-        data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
-        path.write_bytes(data)
+    sound = path.read_bytes()
+    for length in range(0, len(sound), len(sound) // 50):
+        path.write_bytes(sound[:length])
         with pytest.raises(UsageError) as caught:
             read_table(tmp_path)
         assert str(caught.value).startswith(f'{path}: ')
         assert '\n' not in str(caught.value)
-
-
-def test_given_a_table_of_pandas_then_it_is_said_to_be_unverified(tmp_path: Path, capsys) -> None:
-    path = write(mixed(), tmp_path) / 'runs.parquet'
-    frame = read_table(path)
-    assert capsys.readouterr().err == '', 'it has a checksum in itself'
-    frame.to_parquet(path)
-    assert len(read_table(path)) == 4
-    assert capsys.readouterr().err == (
-        f'taxinet: warning: {path}: is unverified, since it has no checksum\n'
-    )
 
 
 @pytest.mark.parametrize(('row', 'column', 'value', 'said'), [
