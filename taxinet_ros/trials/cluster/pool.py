@@ -1,4 +1,4 @@
-"""The workers of a cluster as the pool of a campaign, behind the seam of :class:`.Executor`.
+"""The workers of a Dask cluster as the pool of a campaign, behind the seam of :class:`.Executor`.
 
 Each run is one task of Dask, which gives the runs of a lost or silent worker to others and counts
 how many workers a run has cost. A bag is moved into the campaign's folder with its result.
@@ -6,13 +6,9 @@ how many workers a run has cost. A bag is moved into the campaign's folder with 
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import dataclasses
 import json
-import math
-import os
-import queue
 import shutil
 import sys
 import tempfile
@@ -45,9 +41,8 @@ _WORKERS_S = 120.0
 _PATIENCE_S = 300.0
 """Time without a fit worker after which the campaign ends."""
 _LOOK_S = 1.0
-_FIRST_LOOK_S = 0.05
-_INTERRUPT_S = 30.0
-_FETCH_S = 10.0
+_POLL_S = 0.005
+_END_S = 10.0
 
 
 @contextlib.contextmanager
@@ -65,12 +60,19 @@ def campaign_cluster(
         UsageError: Dask is missing, nothing answers at the address, or no worker is fit.
     """
     out = campaign.out.absolute()
-    with (
-        connection(where, tell) as client,
-        _probe(out) if campaign.bags else contextlib.nullcontext() as probe,
-    ):
+    with contextlib.ExitStack() as opened:
+        client = opened.enter_context(connection(where, tell))
         from taxinet_ros.trials.cluster.task import Job, check_worker
 
+        probe = None
+        if campaign.bags:  # by which workers see that they have the folder where ``out`` will be
+            parent = next(path for path in (out, *out.parents) if path.is_dir())
+            try:
+                probe = Path(opened.enter_context(tempfile.TemporaryDirectory(
+                    prefix='.taxinet-', dir=parent, ignore_cleanup_errors=True
+                )))
+            except OSError as error:
+                raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
         job = Job(
             campaign=f'taxinet-{uuid.uuid4().hex[:12]}', folder=Path.cwd(),
             bags=out / 'logs' / 'cluster' if campaign.bags else None,
@@ -86,21 +88,6 @@ def campaign_cluster(
         yield pool
 
 
-@contextlib.contextmanager
-def _probe(out: Path) -> Iterator[Path]:
-    """Context of a file by which workers see that they have the folder where ``out`` will be."""
-    folder = next(path for path in (out, *out.parents) if path.is_dir())
-    try:
-        descriptor, name = tempfile.mkstemp(prefix='.taxinet-', dir=folder)
-    except OSError as error:
-        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
-    os.close(descriptor)
-    try:
-        yield Path(name)
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
 class ClusterPool:
     """The workers of a connected cluster that are fit for a campaign.
 
@@ -113,6 +100,8 @@ class ClusterPool:
         self, client: Client, where: str, out: Path, job: Job, check: Callable[[], None],
         tell: Tell,
     ) -> None:
+        from distributed import as_completed
+
         self.interrupted = False
         self.threads = 0
         self._client, self._where, self._out, self._job = client, where, out, job
@@ -121,10 +110,9 @@ class ClusterPool:
         self._checks: dict[str, Future[None]] = {}
         self._unfit: dict[str, str] = {}
         self._fit: frozenset[str] = frozenset()
-        self._looked_s = self._fit_s = 0.0
-        self._runs: dict[Future[Done | None], tuple[RunRequest, frozenset[str]]] = {}
-        self._ended: queue.SimpleQueue[Future[Done | None]] = queue.SimpleQueue()
-        self._interrupted_s = math.inf
+        self._looked_s = self._fit_s = time.monotonic()
+        self._runs: dict[Future[Done], tuple[RunRequest, frozenset[str]]] = {}
+        self._completed = as_completed((), loop=client.loop, with_results=True, raise_errors=False)
 
     @contextlib.contextmanager
     def making(
@@ -153,14 +141,21 @@ class ClusterPool:
                 raise UsageError(f'{bags}: cannot be written: {error.strerror}') from error
         try:
             yield self
-        except InfraError:  # nobody is there who could stop
-            raise
-        except BaseException:
-            self._stop()
-            raise
         finally:
+            self._end_runs()
             if bags is not None:
                 _clear(bags)
+
+    def _end_runs(self) -> None:
+        """Give up what is not finished, and wait until children have ended."""
+        from taxinet_ros.trials.cluster.task import end_runs
+
+        with contextlib.suppress(Exception):  # of a lost cluster, or a silent worker
+            self._client.cancel(list(self._runs))
+            self._client.run(
+                end_runs, self._job.campaign, on_error='ignore', callback_timeout=_END_S
+            )
+        self._runs.clear()
 
     @property
     def busy(self) -> int:
@@ -180,7 +175,7 @@ class ClusterPool:
             run_task, self._job, request, pure=False, workers=list(self._fit)
         )
         self._runs[future] = request, self._fit
-        future.add_done_callback(self._ended.put)
+        self._completed.add(future)
 
     def answers(self, timeout_s: float) -> list[Answer]:
         """The runs finished since the last call; waits for one, at most ``timeout_s``.
@@ -188,28 +183,18 @@ class ClusterPool:
         Raises:
             InfraError: the cluster is gone.
         """
-        if not self.interrupted:  # when ending, nobody is waited for
-            self._look(_LOOK_S)
-        found: list[Answer] = []
-        with contextlib.suppress(queue.Empty):
-            found += self._taken(self._ended.get(timeout=timeout_s))
-            while True:
-                found += self._taken(self._ended.get_nowait())
-        if time.monotonic() - self._interrupted_s > _INTERRUPT_S:
-            self._runs.clear()
-        return found
+        now_s = time.monotonic()
+        if now_s - self._looked_s > _LOOK_S:
+            self._look()
+        while not self._completed.has_ready() and time.monotonic() - now_s < timeout_s:
+            time.sleep(_POLL_S)
+        ended = self._completed.next_batch(block=False)
+        return [answer for future, done in ended for answer in self._taken(future, done)]
 
     def interrupt(self) -> None:
-        """Request an orderly end of current runs; those not begun are made after a resume."""
+        """Give up all runs in flight, which are made after a resume."""
         self.interrupted = True
-        self._interrupted_s = time.monotonic()
-        self._stop()
-
-    def _stop(self) -> None:
-        from taxinet_ros.trials.cluster.task import stop_runs
-
-        with contextlib.suppress(Exception):  # no answer is waited for
-            self._client.run(stop_runs, self._job.campaign, wait=False, on_error='ignore')
+        self._end_runs()
 
     # Workers -----------------------------------------------------------------------------------
 
@@ -221,46 +206,29 @@ class ClusterPool:
         """
         begun_s = time.monotonic()
         while time.monotonic() - begun_s < _WORKERS_S:
-            self._fit_s = time.monotonic()  # one that was never fit has not been lost
             self._look()
             if self._checks and all(check.done() for check in self._checks.values()):
                 break
-            time.sleep(_FIRST_LOOK_S)
+            time.sleep(_POLL_S)
         if not self._fit:
             raise UsageError(f'--cluster {self._where}: ' + (
                 f'no worker is fit: {self._reasons}' if self._unfit else
                 f'has no workers; start some with dask worker {self._where}'
             ))
 
-    def _look(self, interval_s: float = 0.0) -> None:
-        """Take note of workers that came or went, unless that was done within an interval."""
-        now = time.monotonic()
-        if now - self._looked_s < interval_s:
-            return
-        self._looked_s = now
+    def _look(self) -> None:
+        """Take note of workers that came or went, and of those that are unfit."""
         try:
-            workers = self._client.scheduler_info()['workers']
+            threads = {
+                worker: info['nthreads']
+                for worker, info in self._client.scheduler_info()['workers'].items()
+            }
         except Exception as error:  # of tornado, asyncio, or the operating system
             raise self._gone(f'has been lost ({one_line(error)})') from error
-        self._note(workers)
-        self._fit = frozenset(
-            worker for worker, check in self._checks.items()
-            if check.status == 'finished' and worker not in self._unfit
-        )
-        self.threads = sum(int(workers[worker]['nthreads']) for worker in self._fit)
-        if self._fit:
-            self._fit_s = now
-        elif now - self._fit_s > _PATIENCE_S:
-            raise self._gone(f'has had no fit worker for {now - self._fit_s:.0f} s'
-                             + (f' ({self._reasons})' if self._unfit else ''))
-        self._give_again()
-
-    def _note(self, workers: Mapping[str, Any]) -> None:
-        """Check the workers that came, forget those that went, and name the unfit ones."""
-        for worker in self._checks.keys() - workers.keys():
+        for worker in self._checks.keys() - threads.keys():
             del self._checks[worker]
             self._unfit.pop(worker, None)
-        for worker in workers.keys() - self._checks.keys():
+        for worker in threads.keys() - self._checks.keys():
             self._checks[worker] = self._client.submit(
                 self._check, workers=[worker], priority=1, pure=False
             )
@@ -269,11 +237,23 @@ class ClusterPool:
                 cause = check.exception()
                 self._set_aside(worker, str(cause) if isinstance(cause, UsageError) else
                                 f'cannot be checked: {one_line(cause)}')
+        self._fit = frozenset(
+            worker for worker, check in self._checks.items()
+            if check.status == 'finished' and worker not in self._unfit
+        )
+        self.threads = sum(threads[worker] for worker in self._fit)
+        self._looked_s = time.monotonic()
+        if self._fit:
+            self._fit_s = self._looked_s
+            self._give_again()
+        elif self._looked_s - self._fit_s > _PATIENCE_S:
+            raise self._gone(f'has had no fit worker for {_PATIENCE_S:.0f} s'
+                             + (f' ({self._reasons})' if self._unfit else ''))
 
     def _give_again(self) -> None:
         """Start runs anew that would wait for workers that are gone."""
         for future, (request, possible) in list(self._runs.items()):
-            if self._fit and not self._fit & possible:
+            if not self._fit & possible:
                 del self._runs[future]
                 future.cancel()
                 self.give(request)
@@ -296,34 +276,27 @@ class ClusterPool:
 
     # Results -----------------------------------------------------------------------------------
 
-    def _taken(self, future: Future[Done | None]) -> list[Answer]:
-        """The answer of a task that has ended; none if its run is to be made again, or never."""
+    def _taken(self, future: Future[Done], done: Done) -> Iterator[Answer]:
+        """The answer of a task that has ended, unless its run is made again."""
         from distributed import KilledWorker
 
         from taxinet_ros.trials.cluster.task import UnfitError
 
-        if future not in self._runs:
-            return []
-        request, possible = self._runs.pop(future)
-        try:
-            done = future.result(timeout=_FETCH_S)
-        except TimeoutError:  # its worker was lost with it
-            self._runs[future] = request, possible
-            self._ended.put(future)
-            return []
-        except KilledWorker as error:
-            detail = f'{error.allowed_failures + 1} workers of the cluster were lost with it'
-            return [(request, RunResult.infra_error(InfraKind.DIED, 'worker', detail, -1))]
-        except UnfitError as error:
+        if future not in self._runs:  # it was cancelled
+            return
+        request, _ = self._runs.pop(future)
+        if future.status == 'finished':
+            yield request, self._in_place(request, *done)
+            return
+        error = future.exception()
+        if isinstance(error, UnfitError):
             self._set_aside(*error.args)
-            if not self.interrupted:
-                self.give(request)
-            return []
-        except (Exception, asyncio.CancelledError) as error:
-            if self.interrupted:
-                return []
-            raise self._gone(f'has lost run {request.index} ({one_line(error)})') from error
-        return [] if done is None else [(request, self._in_place(request, *done))]
+            self.give(request)
+        elif isinstance(error, KilledWorker):
+            detail = f'{error.allowed_failures + 1} workers of the cluster were lost with it'
+            yield request, RunResult.infra_error(InfraKind.DIED, 'worker', detail, -1)
+        else:
+            raise self._gone(f'has lost run {request.index} ({one_line(error)})')
 
     def _in_place(
         self, request: RunRequest, result: RunResult, bag: Path | None, record: Provenance

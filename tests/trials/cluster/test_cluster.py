@@ -267,7 +267,6 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
 def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     processes, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(pool, '_PATIENCE_S', 0.5)
     told: list[str] = []
     out = tmp_path / 'there'
     (tmp_path / 'weights').write_text('0' * 64)
@@ -281,6 +280,7 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
             {**search.book.facts, 'perception_sha256': '1' * 64},
         ),
     ):
+        monkeypatch.setattr(pool, '_PATIENCE_S', 0.5)
         run_search(search, cluster)
     assert len(told) == 2
     assert all('has another perception now (sha256 000000000000' in line for line in told)
