@@ -6,15 +6,20 @@ how many workers a run has cost. A bag is moved into the campaign's folder with 
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import dataclasses
 import json
+import logging
+import re
 import shutil
 import sys
 import tempfile
 import time
 import uuid
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -24,7 +29,7 @@ from taxinet_ros.core.topics import RECORDER
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.atomic import disk_error
-from taxinet_ros.trials.cluster.connection import LOCAL, Tell, connection, one_line
+from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 from taxinet_ros.trials.cluster.machine import PYTHON, describe, ignored_facts
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.worker_pool import Answer
@@ -34,6 +39,12 @@ if TYPE_CHECKING:
 
     from taxinet_ros.trials.cluster.task import Done, Job
 
+LOCAL = 'local:'
+MOST_LOCAL = 256
+_FORMS = 'tcp://HOST:PORT, tls://HOST:PORT, local:N, or the file of dask scheduler --scheduler-file'
+_ADDRESS = re.compile(r'(tcp|tls)://(\[[0-9a-fA-F:.%]+\]|[A-Za-z0-9._-]+):(\d{1,5})')
+_ENCRYPTED_OR_HERE = re.compile(r'tls:|tcp://(127\.|localhost:|\[::1\])')
+_CONNECT_S = 10.0
 _QUEUED = 2
 """Runs for each thread of a worker: one is made while another waits."""
 _WORKERS_S = 120.0
@@ -44,6 +55,36 @@ _LOOK_S = 1.0
 _POLL_S = 0.005
 _END_S = 10.0
 
+Tell = Callable[[str], None]
+
+
+def check_cluster(where: str) -> str:
+    """Check the form of an address: ``local:N``, ``tcp://…``, ``tls://…``, or a scheduler file.
+
+    Returns:
+        The address, or ``local:N``.
+
+    Raises:
+        UsageError: it is none, or the file is no scheduler file.
+    """
+    named, address = f'--cluster {where}', where
+    if where.startswith(LOCAL):
+        count = where.removeprefix(LOCAL)
+        if not (count.isascii() and count.isdigit() and 1 <= int(count) <= MOST_LOCAL):
+            raise UsageError(f'{named}: expected local:N with N within 1..{MOST_LOCAL}')
+        return where
+    if '://' not in where:
+        try:
+            address = str(json.loads(read_file(Path(where), MAX_TEXT_BYTES))['address'])
+        except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+            reason = getattr(error, 'strerror', None) or 'no scheduler file'
+            raise UsageError(f'{named}: {reason}; expected {_FORMS}') from error
+        named += f': its address {address:.80}'
+    match = _ADDRESS.fullmatch(address)
+    if not match or not 0 < int(match[3]) < 65536:
+        raise UsageError(f'{named}: expected {_FORMS}')
+    return address
+
 
 @contextlib.contextmanager
 def campaign_cluster(
@@ -53,7 +94,7 @@ def campaign_cluster(
 
     Args:
         campaign: the campaign, whose folder need not exist yet.
-        where: result of :func:`.connection.check_cluster`.
+        where: result of :func:`check_cluster`.
         tell: called with lines on what happens to the cluster.
 
     Raises:
@@ -86,6 +127,87 @@ def campaign_cluster(
         pool = ClusterPool(client, where, out, job, check, tell)
         pool.wait_for_workers()
         yield pool
+
+
+@contextlib.contextmanager
+def connection(where: str, tell: Tell) -> Iterator[Client]:
+    """Context of the client of a cluster.
+
+    Args:
+        where: result of :func:`check_cluster`.
+        tell: called with a warning if the connection is open to others.
+
+    Raises:
+        UsageError: Dask is missing, or no scheduler answers.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise UsageError(
+            f"--cluster {where}: needs a package; pip install 'taxinet_ros[cluster]' ({error})"
+        ) from error
+    warnings.filterwarnings('ignore', module=r'distributed\.')  # such as of other versions
+    # Of a busy machine; it names another module.
+    warnings.filterwarnings('ignore', message='Creating scratch directories')
+    for logger in list(logging.root.manager.loggerDict):
+        if logger.partition('.')[0] in ('distributed', 'tornado'):
+            logging.getLogger(logger).setLevel(logging.CRITICAL + 1)
+    with contextlib.ExitStack() as opened:
+        target: Any = where
+        if where.startswith(LOCAL):
+            scratch = tempfile.TemporaryDirectory(prefix='taxinet-', ignore_cleanup_errors=True)
+            folder = opened.enter_context(scratch)
+            opened.enter_context(dask.config.set({'temporary-directory': folder}))
+            # Threads of this process: no port by which others of this machine could run programs.
+            target = opened.enter_context(LocalCluster(
+                n_workers=int(where.removeprefix(LOCAL)), threads_per_worker=1, processes=False,
+                protocol='inproc://', dashboard_address='127.0.0.1:0',
+                worker_dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL + 1,
+            ))
+        else:
+            _check_scheduler(where)
+            if not _ENCRYPTED_OR_HERE.match(where):
+                tell(
+                    f'{where}: neither encrypted nor authenticated: whoever reaches it can run '
+                    'programs on its workers and here; see docs/scaling.md for TLS'
+                )
+        yield opened.enter_context(Client(target, timeout=_CONNECT_S, set_as_default=False))
+
+
+def _check_scheduler(where: str) -> None:
+    """Check that a scheduler of this version answers; Dask's client would wait for ever."""
+    from distributed import Security, rpc
+    from distributed.versions import get_versions
+
+    async def versions() -> Any:
+        arguments = Security().get_connection_args('client')
+        async with rpc(where, connection_args=arguments) as scheduler:
+            return await asyncio.wait_for(scheduler.versions(), _CONNECT_S)
+
+    try:
+        with ThreadPoolExecutor(1) as thread:  # this one may run an event loop of its own
+            there = thread.submit(asyncio.run, versions()).result()['packages']
+    except Exception as error:  # whatever answers there may make Dask raise anything
+        raise UsageError(
+            f'--cluster {where}: no Dask scheduler answers there, or it has other TLS settings '
+            f'({_one_line(error)})'
+        ) from error
+    here = get_versions()['packages']
+    for name in ('python', 'distributed'):
+        if there[name] != here[name]:
+            raise UsageError(
+                f'--cluster {where}: the scheduler has {name} {there[name]}, here it is '
+                f'{here[name]}; start it in the same environment as here'
+            )
+
+
+def _one_line(error: BaseException | None) -> str:
+    """The first cause of an error, on one line."""
+    while error is not None and error.__cause__ is not None:
+        error = error.__cause__
+    text = ' '.join(str(error).split())
+    return f'{type(error).__name__}: {text:.300}' if text else type(error).__name__
 
 
 class ClusterPool:
@@ -224,7 +346,7 @@ class ClusterPool:
                 for worker, info in self._client.scheduler_info()['workers'].items()
             }
         except Exception as error:  # of tornado, asyncio, or the operating system
-            raise self._gone(f'has been lost ({one_line(error)})') from error
+            raise self._gone(f'has been lost ({_one_line(error)})') from error
         for worker in self._checks.keys() - threads.keys():
             del self._checks[worker]
             self._unfit.pop(worker, None)
@@ -236,7 +358,7 @@ class ClusterPool:
             if check.status == 'error':
                 cause = check.exception()
                 self._set_aside(worker, str(cause) if isinstance(cause, UsageError) else
-                                f'cannot be checked: {one_line(cause)}')
+                                f'cannot be checked: {_one_line(cause)}')
         self._fit = frozenset(
             worker for worker, check in self._checks.items()
             if check.status == 'finished' and worker not in self._unfit
@@ -296,7 +418,7 @@ class ClusterPool:
             detail = f'{error.allowed_failures + 1} workers of the cluster were lost with it'
             yield request, RunResult.infra_error(InfraKind.DIED, 'worker', detail, -1)
         else:
-            raise self._gone(f'has lost run {request.index} ({one_line(error)})')
+            raise self._gone(f'has lost run {request.index} ({_one_line(error)})')
 
     def _in_place(
         self, request: RunRequest, result: RunResult, bag: Path | None, record: Provenance

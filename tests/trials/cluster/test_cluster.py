@@ -22,10 +22,9 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.trials import search as search_module
-from taxinet_ros.trials.cluster import connection, pool
-from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.cluster import pool
 from taxinet_ros.trials.cluster.machine import OUT
-from taxinet_ros.trials.cluster.pool import campaign_cluster
+from taxinet_ros.trials.cluster.pool import campaign_cluster, check_cluster
 from taxinet_ros.trials.engine import Engine, RunSource, run_search
 from taxinet_ros.trials.record.facts import STACKS, read_facts
 from taxinet_ros.trials.record.table import read_table
@@ -272,7 +271,6 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     (tmp_path / 'weights').write_text('0' * 64)
     chosen = options(out, cluster=processes.address)
     with (
-        pytest.raises(InfraError, match='has another perception now'),
         campaign_cluster(chosen.campaign, processes.address, tell=told.append) as cluster,
         Engine(chosen, ('perception',)) as search,
         cluster.making(
@@ -281,7 +279,8 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
         ),
     ):
         monkeypatch.setattr(pool, '_PATIENCE_S', 0.5)
-        run_search(search, cluster)
+        with pytest.raises(InfraError, match='has another perception now'):
+            run_search(search, cluster)
     assert len(told) == 2
     assert all('has another perception now (sha256 000000000000' in line for line in told)
     assert not [row for row in search.rows if row.outcome.judged]
@@ -305,7 +304,7 @@ def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_ta
         asked = dask.config.merge(dask.config.config, yaml.safe_load(configured))
         with dask.config.set(asked):
             there(cluster.address, tmp_path / 'there', [], sampler='halton')
-        monkeypatch.setattr(connection, '_CONNECT_S', 1.0)
+        monkeypatch.setattr(pool, '_CONNECT_S', 1.0)
         for address in (cluster.address, cluster.address.replace('tls', 'tcp')):
             with pytest.raises(UsageError, match='no Dask scheduler answers there'):
                 there(address, tmp_path / 'never', [])

@@ -25,8 +25,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.cluster import connection as connection_module
-from taxinet_ros.trials.cluster.connection import check_cluster, connection
+from taxinet_ros.trials.cluster import pool
 from taxinet_ros.trials.cluster.machine import (
     OUT,
     PYTHON,
@@ -35,7 +34,7 @@ from taxinet_ros.trials.cluster.machine import (
     difference,
     ignored_facts,
 )
-from taxinet_ros.trials.cluster.pool import campaign_cluster
+from taxinet_ros.trials.cluster.pool import campaign_cluster, check_cluster, connection
 from taxinet_ros.trials.cluster.task import Job, check_worker, run_task
 from taxinet_ros.trials.options import GRAPH, CampaignOptions
 
@@ -59,9 +58,9 @@ def campaign(**changes: object) -> CampaignOptions:
     ({'plugins': 'theirs 1.0'}, 'plugins theirs 1.0, here missing'),
     ({'environment': 'GLIBC_TUNABLES=x'}, 'environment GLIBC_TUNABLES=x, here missing'),
     ({'files of taxinet_ros': 'd' * 64},
-     'files of taxinet_ros dddddddddddd…, here cccccccccccc…'),
-    ({'perception taxinet': 'b' * 64}, 'perception taxinet bbbbbbbbbbbb…, here aaaaaaaaaaaa…'),
-    ({'world kmwh': 'b' * 64}, 'world kmwh bbbbbbbbbbbb…, here missing'),
+     f'files of taxinet_ros {"d" * 64}, here {"c" * 64}'),
+    ({'perception taxinet': 'b' * 64}, f'perception taxinet {"b" * 64}, here {"a" * 64}'),
+    ({'world kmwh': 'b' * 64}, f'world kmwh {"b" * 64}, here missing'),
     ({'processor': 'another', 'processor_features': 'avx2 fma', 'pixels': 'avx2'}, ''),
     ({'commit': '0' * 40}, ''),
 ])
@@ -203,7 +202,7 @@ def strangers() -> Iterator[list[int]]:
 def test_given_an_address_without_a_scheduler_then_that_is_said_and_nothing_is_begun(
     strangers, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(connection_module, '_CONNECT_S', 0.5)
+    monkeypatch.setattr(pool, '_CONNECT_S', 0.5)
     for port in strangers:
         where = f'tcp://127.0.0.1:{port}'
         named = rf'--cluster {where}: no Dask scheduler answers there'
