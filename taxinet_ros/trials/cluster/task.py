@@ -153,8 +153,7 @@ class Runs(WorkerPlugin):
         self.ended = True
         while self._busy:  # their threads end them
             await asyncio.sleep(_LOOK_S)
-        for child in self._idle:
-            await asyncio.to_thread(child.end)
+        await asyncio.gather(*(asyncio.to_thread(child.end) for child in self._idle))
 
     def run(self, job: Job, request: RunRequest) -> Done:
         """Make one run; see :func:`run_task`."""
