@@ -25,7 +25,7 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.samplers.sampler import LAG, Exhausted
 from taxinet_ros.scenes.source import Rejected
-from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import AUDIT, CampaignOptions
 from taxinet_ros.trials.record.book import CampaignBook, finished_row, rejected_row
 from taxinet_ros.trials.record.content import CampaignContent
@@ -304,7 +304,7 @@ def with_workers(
     Args:
         campaign: the campaign.
         workers: number of worker processes.
-        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        cluster: a Dask cluster as for :func:`.pool.check_cluster`, or None.
         lag: number of runs that may be in flight.
 
     Raises:

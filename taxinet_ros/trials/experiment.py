@@ -315,7 +315,7 @@ def arm_searches(
         resume: continue the existing arms.
         engine: what makes the runs, see :class:`.CampaignOptions`.
         audit: share of the runs to audit as text, see :func:`.check_engine`.
-        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        cluster: a Dask cluster as for :func:`.pool.check_cluster`, or None.
 
     Raises:
         UsageError: the folder, the number of workers, the cluster or the engine cannot be used.

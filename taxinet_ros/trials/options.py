@@ -78,7 +78,7 @@ class CampaignOptions(System):
         engine: what makes the runs, one of :data:`ENGINES`.
         audit_percent: share of the runs to repeat on the graph and compare [%]; 0 with the graph.
         workers: number of runs at a time.
-        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
+        cluster: result of :func:`.pool.check_cluster`, or '' for worker processes here.
         resume: continue the campaign in ``out``.
     """
 

@@ -368,7 +368,7 @@ def make_search(
         until: a stop rule as text, or None.
         budget_min: wall-clock time [min], or None.
         lag: see :class:`Search`.
-        cluster: a Dask cluster as for :func:`.connection.check_cluster`, or None.
+        cluster: a Dask cluster as for :func:`.pool.check_cluster`, or None.
         odd: name or file of an operational design domain, or None.
 
     Raises:

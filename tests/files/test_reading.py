@@ -26,7 +26,7 @@ from taxinet_ros.files.plain_values import read_yaml
 from taxinet_ros.files.reading import UnfitFileError, open_regular, read_file, read_text
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.scenes.programs import stored_text
-from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.learned_program import learned_program
 
 PACKAGE = Path(__file__).parents[2] / 'taxinet_ros'

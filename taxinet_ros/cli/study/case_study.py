@@ -32,7 +32,7 @@ from taxinet_ros.study.stages.progress import list_lines, study_heading
 from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options, read_stages
 from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import with_engine
-from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, GRAPH, check_new, make_out, new_folder
 
 _COMMAND = 'case-study'

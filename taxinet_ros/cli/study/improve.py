@@ -29,7 +29,7 @@ from taxinet_ros.study.improve.options import ImproveOptions
 from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
 from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
-from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.trials.rates import rate
 

@@ -36,7 +36,7 @@ from taxinet_ros.study.why.verdict import (
     actions,
     judge,
 )
-from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, make_out
 from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.trials.record.facts import is_campaign

@@ -161,7 +161,7 @@ def with_engine(
         found: the stages.
         engine: what makes the runs, see :class:`.CampaignOptions`.
         audit: share of the runs to audit as text, see :func:`.check_engine`.
-        cluster: result of :func:`.connection.check_cluster`, or '' for worker processes here.
+        cluster: result of :func:`.pool.check_cluster`, or '' for worker processes here.
 
     Raises:
         UsageError: unknown engine, or a bad share.

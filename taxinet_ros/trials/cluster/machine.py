@@ -23,6 +23,7 @@ from taxinet_ros.core.provenance import COMMIT, provenance
 from taxinet_ros.core.user_code import names_user_code
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.instructions import lacking
 from taxinet_ros.processes.child import child_environment, module_command
 from taxinet_ros.registry import PERCEPTIONS, find
@@ -76,26 +77,22 @@ def difference(
 ) -> str:
     """The first fact in which another machine differs, in words; '' if there is none."""
     for name in {**here, **there}:
-        one, other = (_short(facts.get(name, '')) for facts in (here, there))
+        one, other = (facts.get(name) or 'missing' for facts in (here, there))
         if one != other and name not in ignored:
-            return f'{name} {other or "missing"}, here {one or "missing"}'
+            return f'{name} {other}, here {one}'
     return ''
-
-
-def _short(value: str) -> str:
-    return f'{value[:12]}…' if len(value) == 64 else value
 
 
 def code_digest(package: Path) -> str:
     """SHA-256 of the names and contents of a package's files, compiled ones and C++ left out."""
     digest = hashlib.sha256()
-    found = [
+    files = [  # a checkout has a link where an installation has a folder
         Path(folder, name) for folder, _, names in os.walk(package, followlinks=True)
         for name in names if not name.endswith(_NOT_CODE)
     ]
-    for path in sorted(found):
-        content = hashlib.sha256(path.read_bytes()).hexdigest()
-        digest.update(f'{path.relative_to(package).as_posix()} {content}\n'.encode())
+    for path in sorted(files):
+        name = path.relative_to(package).as_posix()
+        digest.update(f'{name} {file_sha256(path)}\n'.encode())
     return digest.hexdigest()
 
 

@@ -9,7 +9,6 @@ writes never meets the bag that counts.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import dataclasses
 import platform
 import shutil
@@ -78,7 +77,7 @@ def check_worker(
         parts: as for :func:`.describe`.
         here: facts of the machine on which the campaign is led; None if this is it.
         ignored: facts in which this machine may differ.
-        probe: a file that all machines must see, or None.
+        probe: a folder that all machines must see, or None.
 
     Raises:
         UsageError: it may make none.
@@ -100,8 +99,8 @@ def check_worker(
     sync(worker.loop, worker.plugin_add, plugin=runs, name=job.campaign)
 
 
-def run_task(job: Job, request: RunRequest) -> Done | None:
-    """Make a run; None if the campaign was stopped before.
+def run_task(job: Job, request: RunRequest) -> Done:
+    """Make a run.
 
     Raises:
         UnfitError: this worker may make no more runs.
@@ -112,33 +111,33 @@ def run_task(job: Job, request: RunRequest) -> Done | None:
         time.sleep(_RETURN_S)
         raise Reschedule
     try:
-        done: Done | None = runs.run(job, request)
+        done: Done = runs.run(job, request)
     except UsageError as error:
         raise UnfitError(worker.address, str(error)) from error
     return done
 
 
-def stop_runs(campaign: str, dask_worker: Worker) -> None:
-    """End the runs of a campaign on this worker in order; those that wait are not begun."""
-    runs: Any = dask_worker.plugins.get(campaign)
-    if runs is not None:
-        runs.stopped = True
+async def end_runs(campaign: str, dask_worker: Worker) -> None:
+    """End the runs of a campaign on this worker, and its children."""
+    if campaign in dask_worker.plugins:
+        await dask_worker.plugin_remove(campaign)
 
 
 class Runs(WorkerPlugin):
     """The child processes of a campaign on a worker that may make its runs.
 
-    The campaign keeps the result of :func:`check_worker`. When Dask releases it, because the
-    campaign has ended or its process is gone, children end.
+    The campaign keeps the result of :func:`check_worker`. If the campaign's process is gone, Dask
+    releases that, and children end.
 
     Attributes:
-        stopped: whether the campaign was interrupted.
+        ended: whether runs are to be given up.
     """
 
     def __init__(self, campaign: str, check: str, record: Mapping[str, str]) -> None:
-        self.stopped = self._closed = False
+        self.ended = False
         self._campaign, self._check, self._record = campaign, check, record
         self._idle: list[_Child] = []
+        self._busy: set[_Child] = set()
 
     def setup(self, worker: Worker) -> None:
         """Take note of the worker; Dask calls this when it gets the plugin."""
@@ -147,46 +146,43 @@ class Runs(WorkerPlugin):
     def transition(self, key: Any, start: str, finish: str, **more: Any) -> None:
         """End when the check is released; Dask calls this with each change of a task."""
         if key == self._check and finish == 'released':
-            self._worker.loop.add_callback(self._worker.plugin_remove, self._campaign)
+            self._worker.loop.add_callback(end_runs, self._campaign, self._worker)
 
     async def teardown(self, worker: Worker) -> None:
         """End the children; Dask calls this when the worker ends, too."""
-        self._closed = True
-        await asyncio.to_thread(self._end_idle)
+        self.ended = True
+        while self._busy:  # their threads end them
+            await asyncio.sleep(_LOOK_S)
+        await asyncio.gather(*(asyncio.to_thread(child.end) for child in self._idle))
 
-    def run(self, job: Job, request: RunRequest) -> Done | None:
+    def run(self, job: Job, request: RunRequest) -> Done:
         """Make one run; see :func:`run_task`."""
-        if self.stopped:
-            return None
         try:
             child = self._idle.pop()
         except IndexError:
-            child = _Child(job, Path(self._worker.local_directory))
+            child = _Child(job)
+        self._busy.add(child)
         try:
             result, bag = child.run(request, self)
+            expected = job.facts.get('perception_sha256')
+            if result.fingerprint and expected and result.fingerprint != expected:
+                raise UsageError(f'has another perception now (sha256 {result.fingerprint[:12]}…)')
+            self._idle.append(child)
         except BaseException:
             child.end()
             raise
-        self._idle.append(child)
-        if self._closed or self.stopped:
-            self._end_idle()
-        expected = job.facts.get('perception_sha256')
-        if result.fingerprint and expected and result.fingerprint != expected:
-            raise UsageError(f'has another perception now (sha256 {result.fingerprint[:12]}…)')
+        finally:
+            self._busy.discard(child)
         return result, bag, self._record
-
-    def _end_idle(self) -> None:
-        with contextlib.suppress(IndexError):
-            while True:
-                self._idle.pop().end()
 
 
 class _Child:
     """A child process, and the folder of its bags."""
 
-    def __init__(self, job: Job, local: Path) -> None:
+    def __init__(self, job: Job) -> None:
         self._shared = job.bags is not None
-        self._folder = (job.bags or local) / f'{job.campaign}-{uuid.uuid4().hex[:8]}'
+        folder = job.bags or Path(get_worker().local_directory)
+        self._folder = folder / f'{job.campaign}-{uuid.uuid4().hex[:8]}'
         try:
             self._folder.mkdir(parents=True)
             with Record(self._folder / RECORD_NAME) as record:  # whence bags get the program's text
@@ -206,8 +202,8 @@ class _Child:
         shutil.rmtree(bag, ignore_errors=True)
         self._pool.give(request)
         while not (answers := self._pool.answers(_LOOK_S)):
-            if runs.stopped and not self._pool.interrupted:
-                self._pool.interrupt()
+            if runs.ended:
+                raise Reschedule
         (_, result), = answers
         if result.kind == AUDIT:  # both bags stay for whoever looks into it
             detail = f'{result.detail} (on {platform.node()})'

@@ -13,21 +13,21 @@ from typing import Any
 
 import dask.config
 import falsify_samples as toy
+import psutil
 import pytest
 import yaml
 from dask_processes import DaskProcesses, kill
 
 import taxinet_ros
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.trials import search as search_module
-from taxinet_ros.trials.cluster import connection, pool
-from taxinet_ros.trials.cluster.connection import check_cluster
+from taxinet_ros.trials.cluster import pool
 from taxinet_ros.trials.cluster.machine import OUT
-from taxinet_ros.trials.cluster.pool import campaign_cluster
-from taxinet_ros.trials.engine import Engine, RunSource, run_search
+from taxinet_ros.trials.cluster.pool import campaign_cluster, check_cluster
+from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.record.facts import STACKS, read_facts
+from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.worker_pool import WorkerPool
@@ -69,14 +69,13 @@ def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskProcesse
 @pytest.fixture
 def here(tmp_path: Path) -> Callable[..., Path]:
     """What makes the campaign with the local pool, for comparison."""
-    def make(**changes: Any) -> Path:
-        chosen = options(tmp_path / 'here', **changes)
+    def make(out: Path = tmp_path / 'here', **changes: Any) -> Path:
+        chosen = options(out, **changes)
         with Engine(chosen, ('perception',)) as search, WorkerPool(
-            [sys.executable, str(TOY), str(chosen.campaign.out), str(tmp_path)],
-            min(2, chosen.lag), chosen.campaign.out / 'logs',
+            [sys.executable, str(TOY), str(out), str(tmp_path)], min(2, chosen.lag), out / 'logs',
         ) as pool:
             run_search(search, pool)
-        return chosen.campaign.out
+        return out
 
     return make
 
@@ -85,41 +84,27 @@ def options(out: Path, **changes: Any) -> Search:
     return toy.options(out, **{'runs': RUNS, **changes})
 
 
-class Watched:
-    """A search that does something once so many of its runs are recorded."""
-
-    def __init__(self, search: Engine[Search], acts: Acts) -> None:
-        self.search, self._acts = search, acts
-
-    @property
-    def interrupted(self) -> bool:
-        return self.search.interrupted
-
-    def next(self) -> RunRequest | None:
-        return self.search.next()
-
-    def take(self, request: RunRequest, result: RunResult) -> None:
-        self.search.take(request, result)
-        for act in [self._acts.pop(n) for n in list(self._acts) if len(self.search.rows) >= n]:
-            act(self.search)
-
-
 def there(
     where: str, out: Path, told: list[str], acts: Acts | None = None, **changes: Any
 ) -> Engine[Search]:
     """Make the campaign on a cluster."""
     chosen = options(out, cluster=where, **changes)
     acts, kept = acts or {}, list[int]()
+
+    def on_row(row: RunRow) -> None:
+        kept.append(row.index)
+        for act in [acts.pop(n) for n in list(acts) if len(search.rows) >= n]:
+            act(search)
+
     with (
         campaign_cluster(chosen.campaign, where, tell=told.append) as cluster,
-        Engine(chosen, ('perception',), lambda row: kept.append(row.index)) as search,
+        Engine(chosen, ('perception',), on_row) as search,
         cluster.making(
             [sys.executable, str(TOY), OUT, str(out.parent)], search.book.facts,
             search.book.add_machine,
         ),
     ):
-        source: RunSource = Watched(search, acts)
-        run_search(source, cluster)
+        run_search(search, cluster)
     assert acts == {}
     assert len(kept) == len(set(kept)), 'each run has one result'
     return search
@@ -156,15 +141,13 @@ def test_given_a_scheduler_file_and_an_interrupt_then_a_pool_here_goes_on(
     pace.write_text('0.05')
     ended = there(check_cluster(str(file)), out, [], {12: Engine.interrupt})
     assert ended.interrupted
+    running = [one.info['cmdline'] or [] for one in psutil.process_iter(['cmdline'])]
+    assert not [words for words in running if str(tmp_path) in words]
+    assert not (out / 'logs' / 'cluster').exists()
     assert 12 <= len(read_table(out)) < RUNS
     assert set(read_table(out)['outcome']) <= {'PASS', 'FAIL', 'REJECTED'}
     pace.unlink()
-    chosen = options(out, resume=True)
-    with Engine(chosen, ('perception',)) as search, WorkerPool(
-        [sys.executable, str(TOY), str(out), str(tmp_path)], 2, out / 'logs'
-    ) as pool:
-        run_search(search, pool)
-    check_whole(out, here())
+    check_whole(here(out, resume=True), here())
 
 
 def test_given_two_campaigns_at_once_then_each_has_its_own_rows(processes, here, tmp_path):
@@ -267,13 +250,11 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
 def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     processes, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(pool, '_PATIENCE_S', 0.5)
     told: list[str] = []
     out = tmp_path / 'there'
     (tmp_path / 'weights').write_text('0' * 64)
     chosen = options(out, cluster=processes.address)
     with (
-        pytest.raises(InfraError, match='has another perception now'),
         campaign_cluster(chosen.campaign, processes.address, tell=told.append) as cluster,
         Engine(chosen, ('perception',)) as search,
         cluster.making(
@@ -281,7 +262,9 @@ def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
             {**search.book.facts, 'perception_sha256': '1' * 64},
         ),
     ):
-        run_search(search, cluster)
+        monkeypatch.setattr(pool, '_PATIENCE_S', 0.5)
+        with pytest.raises(InfraError, match='has another perception now'):
+            run_search(search, cluster)
     assert len(told) == 2
     assert all('has another perception now (sha256 000000000000' in line for line in told)
     assert not [row for row in search.rows if row.outcome.judged]
@@ -305,7 +288,7 @@ def test_given_tls_by_dasks_own_configuration_then_only_who_has_a_certificate_ta
         asked = dask.config.merge(dask.config.config, yaml.safe_load(configured))
         with dask.config.set(asked):
             there(cluster.address, tmp_path / 'there', [], sampler='halton')
-        monkeypatch.setattr(connection, '_CONNECT_S', 1.0)
+        monkeypatch.setattr(pool, '_CONNECT_S', 1.0)
         for address in (cluster.address, cluster.address.replace('tls', 'tcp')):
             with pytest.raises(UsageError, match='no Dask scheduler answers there'):
                 there(address, tmp_path / 'never', [])
