@@ -26,7 +26,6 @@ from taxinet_msgs.msg import Robustness, Verdict
 
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.live_monitor import node
 from taxinet_ros.extras.live_monitor.node import LiveMonitor
 from taxinet_ros.extras.live_monitor.outputs import robustness_messages, verdict_message
 from taxinet_ros.extras.live_monitor.sample_hold import Sample
