@@ -22,11 +22,10 @@ from waiting import wait_for
 from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
-from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all
+from taxinet_ros.nodes.running.parameters import Usage, declare_all
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
-DOCS = Path(__file__).parents[2] / 'docs' / 'ros.md'
 OF_RCLPY = {'use_sim_time', 'start_type_description_service'}
 def usage_of(executable: str) -> Usage:
     usage: Usage = import_module(f'taxinet_ros.nodes.{executable}').USAGE
@@ -204,36 +203,17 @@ def allowed(one: ParameterDescriptor) -> str:
     return one.additional_constraints
 
 
-def row(name: str, default: str, what: str, description: str) -> str:
-    return f'| `{name}` | {default} | {what} | {description} |'
-
-
-def default_text(one: Parameter) -> str:
-    value = one.default
-    if value in ('', ['']):
-        return ''
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return f'{value:.6g}' if value % 1 else str(value)
-    return ', '.join(value) if isinstance(value, list) else str(value)
-
-
 @pytest.mark.parametrize('executable', NODES)
-def test_given_a_node_when_its_parameters_are_described_then_the_docs_table_says_the_same(
+def test_given_a_node_when_its_parameters_are_described_then_its_own_list_says_the_same(
     executable, described
 ):
-    """``ros2 param describe``, the executable's own list, and docs/ros.md."""
+    """``ros2 param describe`` and the executable's list, which ``--help`` and the site print."""
     parameters = {one.name: one for one in usage_of(executable).parameters}
     told = {one.name: one for one in described[executable]}
     assert told.keys() == parameters.keys()
-    section = DOCS.read_text().partition(f'\n### `{executable}`\n')[2].partition('\n##')[0]
-    rows = [line for line in section.splitlines() if line.startswith('| `')]
-    expected = []
     for name in parameters:
         one = told[name]
         assert one.description == parameters[name].description
         assert one.read_only is not parameters[name].settable
         assert allowed(one), f'{name}: neither a range nor words'
-        expected.append(row(name, default_text(parameters[name]), allowed(one), one.description))
-    assert rows == expected
+        assert allowed(one) == parameters[name].allowed

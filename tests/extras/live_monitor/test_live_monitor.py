@@ -26,7 +26,6 @@ from taxinet_msgs.msg import Robustness, Verdict
 
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.errors import UsageError
-from taxinet_ros.extras.live_monitor import node
 from taxinet_ros.extras.live_monitor.node import LiveMonitor
 from taxinet_ros.extras.live_monitor.outputs import robustness_messages, verdict_message
 from taxinet_ros.extras.live_monitor.sample_hold import Sample
@@ -338,13 +337,3 @@ def test_given_a_process_of_its_own_then_it_judges_or_leaves_with_one_line(robot
         assert last.startswith("error: live_monitor: parameter signals: 'cte=/robot/odom:")
         assert "has no field 'up'; its fields: x, y, z" in last
         assert 'Traceback' not in errors
-
-
-def test_given_the_parameters_then_the_docs_have_one_row_for_each():
-    docs = (Path(__file__).parents[3] / 'docs' / 'ros.md').read_text(encoding='utf-8')
-    section = docs.partition('\n### `live_monitor`\n')[2].partition('\n##')[0]
-    rows = [line.split(' | ') for line in section.splitlines() if line.startswith('| `')]
-    assert [(row[0], row[2], row[3]) for row in rows] == [
-        (f'| `{one.name}`', one.allowed, f'{one.description} |')
-        for one in node.USAGE.parameters
-    ]
