@@ -132,7 +132,7 @@ def campaign_rows(
                 progress.console.print(row_line(row), soft_wrap=True)
             progress.advance(bar)
 
-        here = _Graphs(options) if options.workers == 1 else None
+        here = None if _runs_elsewhere(options, foxglove) else _Graphs(options)
         scenes = ProgramOrder(options, here.make_ahead if here else lambda: None)
         engine = Engine(scenes, PARTICIPANTS, show)
         with (
@@ -159,6 +159,15 @@ def campaign_rows(
     if engine.interrupted and len(rows) < options.runs:
         raise ToldInterrupt if rows else KeyboardInterrupt
     return rows
+
+
+def _runs_elsewhere(options: CampaignOptions, foxglove: int | None) -> bool:
+    """Whether worker processes make the runs: several, or one that user code may crash or hang."""
+    if options.workers > 1:
+        return True
+    alone = options.processes or options.timing.free or foxglove is not None
+    parts = options.perception, options.controller, options.world
+    return not alone and EXTERNAL not in parts and any('.py:' in part for part in parts)
 
 
 def _run_here(engine: Engine[ProgramOrder], graphs: _Graphs, foxglove: int | None) -> None:
