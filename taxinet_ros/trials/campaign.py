@@ -53,6 +53,7 @@ class ProgramOrder(Proposer):
         self._next = 0
         self._refused: dict[int, int] = {}
         self._timing: str | None = None
+        self._fingerprint: str | None = None
 
     def prepare(self) -> dict[str, Any]:
         """See :class:`.Proposer`."""
@@ -93,6 +94,12 @@ class ProgramOrder(Proposer):
                     f'the graph now has {timing_words(result.timing)}, but earlier runs had '
                     f'{timing_words(self._timing)}: they cannot be mixed; start another campaign'
                 )
+            if self._fingerprint not in (None, result.fingerprint):
+                raise UsageError(
+                    f'perception {self.campaign.perception or result.perception}: changed during '
+                    'the campaign, whose earlier runs had another; start another campaign'
+                )
+            self._fingerprint = result.fingerprint
         return {}
 
 

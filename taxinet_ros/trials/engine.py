@@ -13,6 +13,7 @@ from __future__ import annotations
 import abc
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from types import TracebackType
@@ -151,7 +152,7 @@ class Engine(Generic[P_co]):
         self._asked = 0
         self._retries: list[RunRequest] = []
         self._retried: set[int] = set()
-        self._broken_in_a_row = 0
+        self._broken: dict[int, bool] = {}  # of this session, in the order of their start
 
     def __enter__(self) -> Self:
         """Prepare the proposer, then open the folder.
@@ -268,6 +269,7 @@ class Engine(Generic[P_co]):
         except Rejected as error:
             self._keep(rejected_row(self.options, index, str(error)))
             return None
+        self._broken[index] = False
         return self.book.begin_run(index, scenario)
 
     def _is_retried(self, request: RunRequest, result: RunResult) -> bool:
@@ -287,11 +289,14 @@ class Engine(Generic[P_co]):
 
     def _watch_bench(self, row: RunRow) -> None:
         """End the campaign if its bench is broken, or gives other runs than the graph."""
-        infra = row.outcome is Outcome.INFRA_ERROR
-        self._broken_in_a_row = self._broken_in_a_row + 1 if infra else 0
-        if self._broken_in_a_row >= self.proposer.patience:
-            self.stopped = f'{self._broken_in_a_row} runs in a row were broken by the bench'
-            self.broken = row
+        if row.outcome is Outcome.INFRA_ERROR:
+            self._broken[row.index] = True
+            # By start, not by end, so that it does not depend on the number of workers.
+            streaks = itertools.groupby(self._broken.values())
+            in_a_row = max(len(list(streak)) for broken, streak in streaks if broken)
+            if in_a_row >= self.proposer.patience:
+                self.stopped = f'{in_a_row} runs in a row were broken by the bench'
+                self.broken = row
         if row.kind == AUDIT:
             self.stopped, self.broken = f'audit of run {row.index}: {row.detail}', row
 

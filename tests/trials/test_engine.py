@@ -12,13 +12,19 @@ import falsify_samples as toy
 import pytest
 
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.source import Rejected
+from taxinet_ros.trials.campaign import ProgramOrder
 from taxinet_ros.trials.engine import Engine, Proposer
-from taxinet_ros.trials.options import AUDIT, CampaignOptions
+from taxinet_ros.trials.options import AUDIT, CampaignOptions, make_options
+from taxinet_ros.trials.past_runs.trials import Trial, _Trials
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import facts_of_runs
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.requirements import DEFAULT_JUDGING
+from taxinet_ros.trials.worker_pool import Task
 
 
 class Same(Proposer):
@@ -125,3 +131,41 @@ def test_given_an_interrupted_run_then_no_other_follows(tmp_path):
         Same(tmp_path), lambda request: toy.result(request, Outcome.INTERRUPTED), began
     )
     assert (began, engine.interrupted, engine.stopped) == ([0], True, '')
+
+
+def test_given_runs_at_a_time_then_broken_ones_are_in_a_row_by_their_start_not_by_their_end(
+    tmp_path
+):
+    with Engine(Once(tmp_path / 'c'), ('perception',)) as engine:
+        first, whole, second, _ = requests = [engine.next() for _ in range(4)]
+        for request in requests:
+            (tmp_path / 'c' / request.run_id).mkdir()
+        for request in (first, second):
+            engine.take(request, toy.result(request, Outcome.INFRA_ERROR))
+        assert not engine.stopped
+        engine.take(whole, toy.result(whole))
+        assert not engine.stopped
+
+
+def test_given_a_network_that_is_replaced_meanwhile_then_its_runs_are_not_mixed(tmp_path):
+    order = ProgramOrder(make_options(
+        program='nominal', runs=2, seed=0, out=tmp_path / 'c', perception='taxinet', images='none'
+    ))
+    order.hear({}, RunResult(outcome=Outcome.PASS, fingerprint='a'))
+    order.hear({}, RunResult(outcome=Outcome.INFRA_ERROR))
+    with pytest.raises(UsageError, match='perception taxinet: changed during the campaign'):
+        order.hear({}, RunResult(outcome=Outcome.FAIL, fingerprint='b'))
+
+
+def test_given_a_network_that_is_replaced_meanwhile_then_no_trial_of_it_is_kept(tmp_path):
+    task = Task(
+        run_id='r', index=0, program='p', seed=0, scenario=Scenario(), judging=DEFAULT_JUDGING,
+        participants=(), system=System(perception='n.safetensors'),
+    )
+    kept: list[Trial] = []
+    trials = _Trials(iter(()), kept.append, lambda: False)
+    trials.take(task, RunResult(outcome=Outcome.PASS, fingerprint='a'))
+    trials.take(task, RunResult(outcome=Outcome.INFRA_ERROR, who='worker'))
+    with pytest.raises(UsageError, match=r'perception n\.safetensors has changed'):
+        trials.take(task, RunResult(outcome=Outcome.FAIL, fingerprint='b'))
+    assert len(kept) == 2

@@ -132,7 +132,7 @@ def campaign_rows(
                 progress.console.print(row_line(row), soft_wrap=True)
             progress.advance(bar)
 
-        here = _Graphs(options) if options.workers == 1 else None
+        here = None if _runs_elsewhere(options, foxglove) else _Graphs(options)
         scenes = ProgramOrder(options, here.make_ahead if here else lambda: None)
         engine = Engine(scenes, PARTICIPANTS, show)
         with (
@@ -148,6 +148,9 @@ def campaign_rows(
                 progress.console.print(line, soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
+            if here is None and options.workers == 1 and not quiet:
+                printed = f'your functions print to {options.out}/logs/worker-1.log'
+                progress.console.print(printed, soft_wrap=True, markup=False)
             if here:
                 _run_here(engine, here, foxglove)
             else:
@@ -159,6 +162,15 @@ def campaign_rows(
     if engine.interrupted and len(rows) < options.runs:
         raise ToldInterrupt if rows else KeyboardInterrupt
     return rows
+
+
+def _runs_elsewhere(options: CampaignOptions, foxglove: int | None) -> bool:
+    """Whether worker processes make the runs: several, or one that user code may crash or hang."""
+    if options.workers > 1:
+        return True
+    alone = options.processes or options.timing.free or options.standing_graph or foxglove
+    parts = options.perception, options.controller, options.world
+    return not alone and EXTERNAL not in parts and any('.py:' in part for part in parts)
 
 
 def _run_here(engine: Engine[ProgramOrder], graphs: _Graphs, foxglove: int | None) -> None:

@@ -133,6 +133,7 @@ class _Trials:
         interrupted: Callable[[], bool],
     ) -> None:
         self._tasks, self._take, self._interrupted = tasks, take, interrupted
+        self._fingerprints: dict[str, str] = {}
         self._lost = 0
 
     @property
@@ -146,6 +147,7 @@ class _Trials:
         assert isinstance(request, Task)
         if result.outcome is Outcome.INTERRUPTED:
             return
+        self._check_same_perception(request.system.perception, result.fingerprint)
         self._take(Trial.of(request, result))
         self._lost = self._lost + 1 if result.who == 'worker' else 0
         if self._lost == _PATIENCE:
@@ -153,6 +155,11 @@ class _Trials:
                 InfraKind(result.kind), f'{_PATIENCE} workers in a row', result.last_seq,
                 result.detail,
             )
+
+    def _check_same_perception(self, word: str, fingerprint: str) -> None:
+        # A worker that replaces a lost one reads the file again.
+        if fingerprint and self._fingerprints.setdefault(word, fingerprint) != fingerprint:
+            raise UsageError(f'perception {word} has changed since this began; put it back')
 
 
 def check_trials_folder(out: Path) -> None:

@@ -158,6 +158,20 @@ def test_given_a_mistake_then_one_line_says_what_and_nothing_is_left_behind(case
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize('engine', ['graph', 'loop'])
+def test_given_a_perception_of_ones_own_that_crashes_then_each_run_says_so(engine, tmp_path):
+    (tmp_path / 'eyes.py').write_text('import os\n\n\ndef look(image):\n    os._exit(1)\n')
+    done = taxinet_apart(
+        'run', 'nominal', '--runs', '2', '--perception', 'eyes.py:look', '--engine', engine,
+        '--images', 'none', '--set', 'duration=1', '--out', 'c', cwd=tmp_path,
+    )
+    assert done.returncode == 4, done.stdout + done.stderr  # 1 would say that a run was violated
+    rows = read_campaign(tmp_path / 'c').rows
+    assert [(row.kind, row.who, row.detail) for row in rows] == [
+        ('died', 'worker', 'exit code 1')
+    ] * 2
+
+
 def test_given_a_program_with_a_mistake_then_the_line_names_file_and_line(tmp_path):
     text = 'model runway_world\nego = new Plane at (1, 2) facing\n'
     (tmp_path / 'broken.scenic').write_text(text)
