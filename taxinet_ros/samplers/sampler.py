@@ -116,8 +116,12 @@ class Option:
         return value
 
 
-def split_options(texts: Iterable[str]) -> dict[str, str]:
-    """Keys and values of ``key=value`` texts, for ``make_sampler(…, **options)``.
+def split_options(texts: Iterable[str], what: str = 'sampler option') -> dict[str, str]:
+    """Keys and values of ``key=value`` texts, such as those for ``make_sampler(…, **options)``.
+
+    Args:
+        texts: the texts.
+        what: what they are, for an error.
 
     Raises:
         UsageError: a text has another form, or a key is given twice.
@@ -126,9 +130,9 @@ def split_options(texts: Iterable[str]) -> dict[str, str]:
     for text in texts:
         key, equals, value = (part.strip() for part in text.partition('='))
         if not (key and equals and value):
-            raise UsageError(f'sampler option {text!r}: expected key=value')
+            raise UsageError(f'{what} {text!r}: expected key=value')
         if key in found:
-            raise UsageError(f'sampler option {key} is given twice')
+            raise UsageError(f'{what} {text}: {key} is given twice; leave one out')
         found[key] = value
     return found
 

@@ -35,6 +35,7 @@ from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK, make_folder
+from taxinet_ros.samplers.sampler import split_options
 from taxinet_ros.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.trials.requirements import DEFAULT_JUDGING, make_judging
 
@@ -372,14 +373,7 @@ def read_settings(settings: Iterable[str]) -> dict[str, str]:
     Raises:
         UsageError: an argument has another form, or a key is given twice, even by its short form.
     """
-    values: dict[str, str] = {}
-    for setting in settings:
-        key, equals, value = (part.strip() for part in setting.partition('='))
-        if not (key and equals and value):
-            raise UsageError(f'--set {setting!r}: expected key=value')
-        if key in values:
-            raise UsageError(f'--set {setting}: {key} is given twice; leave one out')
-        values[key] = value
+    values = split_options(settings, '--set')
     try:
         return by_key(values)
     except UsageError as error:

@@ -180,11 +180,11 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
 
 
 def _chosen(settings: Iterable[str]) -> dict[str, str]:
+    values = split_options(settings, '--nominal')
     try:
-        chosen = by_key(split_options(settings))
+        chosen = by_key(values)
     except UsageError as error:
-        text = str(error).removeprefix('sampler option ').removeprefix('scenario: ')
-        raise UsageError(f'--nominal {text}') from None
+        raise UsageError(f'--nominal {str(error).removeprefix("scenario: ")}') from None
     for key in chosen:
         if key not in KEYS:
             raise UsageError(f'--nominal {key}: unknown; known: {", ".join(KEYS)}')
