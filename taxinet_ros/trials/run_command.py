@@ -15,36 +15,28 @@ from typing import Any, Self
 from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.core.motion.controller import STEERING, controller_options
 from taxinet_ros.core.mtl import signal_names
-from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
+from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario_fields import CATALOGUES
+from taxinet_ros.core.system import System
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.world import find_world, world_options
-from taxinet_ros.registry import KMWH
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import recorded_world
 from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RunSettings:
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(System):
     """Settings of runs, as options of ``taxinet run``.
 
     Attributes:
-        perception, controller, world: words that select them.
-        gains: steering gains that differ from the defaults.
         values: scenario values that replace drawn ones, in human keys and units.
         judging: requirements, stop rule and assumptions.
-        timing: when answers take effect.
     """
 
-    perception: str
-    controller: str = STEERING
-    world: str = KMWH
-    gains: Mapping[str, float] = field(default_factory=dict)
     values: Mapping[str, Any] = field(default_factory=dict)
     judging: Judging = DEFAULT_JUDGING
-    timing: Timing = AT_ONCE
 
     @classmethod
     def of_options(cls, options: CampaignOptions) -> Self:
