@@ -398,7 +398,7 @@ class ClusterPool:
 
     # Results -----------------------------------------------------------------------------------
 
-    def _taken(self, future: Future[Done], done: Done) -> Iterator[Answer]:
+    def _taken(self, future: Future[Done], done: Any) -> Iterator[Answer]:
         """The answer of a task that has ended, unless its run is made again."""
         from distributed import KilledWorker
 
@@ -410,7 +410,7 @@ class ClusterPool:
         if future.status == 'finished':
             yield request, self._in_place(request, *done)
             return
-        error = future.exception()
+        error = future.exception() or done
         if isinstance(error, UnfitError):
             self._set_aside(*error.args)
             self.give(request)
