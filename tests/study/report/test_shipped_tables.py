@@ -33,15 +33,20 @@ def found():
 
 
 def words(claim: Claim) -> str:
-    return (
-        f'| {claim.statement} | {claim.evidence} | {p_words(claim.p_value)} | '
-        f'{claim.verdict.value} |'
-    )
+    if claim.verdict is Verdict.UNCLEAR:
+        return f'- {claim.statement}\n'
+    return f'| {claim.statement} | {claim.evidence} | {p_words(claim.p_value)} |'
+
+
+def part(verdict: Verdict) -> str:
+    """What the page has below a verdict's heading."""
+    heading = verdict.value[0].upper() + verdict.value[1:]
+    return DOCS.partition(f'### {heading}\n')[2].partition('\n##')[0] + '\n'
 
 
 def test_paper_given_the_shipped_tables_then_the_docs_have_each_verdict_with_its_figures(found):
     assert len(found.claims) == 36
-    missing = [claim.name for claim in found.claims if words(claim) not in DOCS]
+    missing = [claim.name for claim in found.claims if words(claim) not in part(claim.verdict)]
     assert missing == []
     counts = Counter(claim.verdict for claim in found.claims)
     head = ', '.join(f'{counts[verdict]} {verdict.value}' for verdict in Verdict)
