@@ -41,8 +41,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / 'sqlite').mkdir()
     (folder / 'sqlite' / 's_0.db3').touch()
     (folder / 'empty').mkdir()
-    (folder / 'all').mkdir()
-    (folder / 'all' / 'run').symlink_to(folder / 'run', target_is_directory=True)
     return folder
 
 
@@ -192,33 +190,14 @@ def _filmed(made: Path, sizes: list[tuple[int, int]]) -> Any:
 
 
 BAD = {
-    'nothing there': (['info', 'nowhere'], 2, 'nowhere: no such bag'),
     'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
     'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
     'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'contains no .mcap'),
-    'a campaign': (['info', 'all'], 2, 'error: all is a campaign; name a run in it, e.g. all/run'),
-    'export of a campaign': (['export', 'all', '--out', 'NEW/x.csv'], 2, 'all is a campaign; name'),
     'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'already exists'),
     'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'is inside the bag'),
     'export of a damaged bag': (
         ['export', 'cut', '--out', 'NEW/x.csv'], 3, 'save the intact part: taxinet bag recover cut',
     ),
-    'unknown format': (['export', 'run', '--out', 'NEW/x.xls'], 2, "'xls' is no format; known:"),
-    'other suffix': (
-        ['export', 'run', '--out', 'NEW/x.csv', '--format', 'gif'], 2, 'use x.gif',
-    ),
-    'film without suffix': (['export', 'run', '--out', 'NEW/x', '--format', 'mp4'], 2,
-                            'a single file'),
-    'film of a topic': (
-        ['export', 'run', '--out', 'NEW/x.mp4', '--topics', 'clock'], 2, 'not for a film',
-    ),
-    'unknown topic': (
-        ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'taxi'], 2, "no topic 'taxi'; it has",
-    ),
-    'two topics in a file': (
-        ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'tracking_error'], 2, 'name one',
-    ),
-    'no folder': (['export', 'run', '--out', 'NEW/no/x.csv'], 2, 'no such folder'),
     'file that exists': (
         ['export', 'run', '--out', 'garbage.mcap'], 2, 'is the name of a recording',
     ),

@@ -8,7 +8,7 @@ from any_messages import messages_of
 from bag_edits import GOLDEN
 from hypothesis import given
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from taxinet_ros.bag.cdr.alignment import Canonical, Trail, walk_of
 from taxinet_ros.bag.errors import BagCorrupt
@@ -20,8 +20,12 @@ TYPES = [
     'sensor_msgs/msg/CameraInfo', 'visualization_msgs/msg/Marker', 'geometry_msgs/msg/Polygon',
     'sensor_msgs/msg/PointCloud2', 'rosgraph_msgs/msg/Clock', 'std_msgs/msg/String',
     'sensor_msgs/msg/MultiDOFJointState', 'sensor_msgs/msg/BatteryState',
-    'shape_msgs/msg/SolidPrimitive', 'rcl_interfaces/msg/ParameterEvent',
+    'shape_msgs/msg/SolidPrimitive', 'rcl_interfaces/msg/ParameterEvent', 'test_msgs/msg/Fixed',
 ]
+STORE.register({  # a fixed number of structures; no message of ROS has such
+    **get_types_from_msg('uint8 a\nfloat64 b\nuint8 c', 'test_msgs/msg/Part'),
+    **get_types_from_msg('uint8 first\nPart[3] parts\nuint16 last', 'test_msgs/msg/Fixed'),
+})
 
 
 def dirty(cdr, walk, garbage):

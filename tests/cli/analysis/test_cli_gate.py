@@ -150,7 +150,6 @@ def test_given_other_scenes_than_the_baselines_then_it_is_refused_by_name(
     ('gate nobody --baseline before', "'nobody' is unknown"),
     ('gate truth --baseline nowhere', 'nowhere: neither the folder of a campaign'),
     ('gate truth --baseline late.parquet', 'late.parquet: runs with timing'),
-    ('check truth nobody', "'nobody' is unknown"),
 ])
 def test_given_a_gate_that_cannot_be_then_one_line_says_why(before, taxinet, words, reason):
     frame = pd.read_parquet(BAGS / 's_falsif_truth_400.parquet').iloc[:2]

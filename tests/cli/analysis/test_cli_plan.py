@@ -137,23 +137,3 @@ def test_given_a_campaign_that_refutes_the_claim_then_that_is_known():
     assert not hopeless(plan_claim(CLAIM, campaign(88, 12)))
     off = Claim(criterion='max-off-runway', threshold=0.1)
     assert hopeless(plan_claim(off, campaign(50, 50)))
-
-
-@pytest.mark.parametrize(('words', 'complaint'), [
-    ([], 'give one claim'),
-    (['--min-satisfaction', 0.9, '--max-off-runway', 0.1], 'give one claim'),
-    (['--min-satisfaction', 1], 'no number of runs shows that'),
-    (['--min-satisfaction', 1.5], 'needs to be within 0..1'),
-    (['--min-satisfaction', 0.9, '--power', 0.8], 'only with --if-true'),
-    (['--min-satisfaction', 0.9, '--if-true', 0.8], 'does not meet the claim'),
-    (['--min-satisfaction', 0.9, '--so-far', '6:4000'], 'no more failures'),
-    (['--min-satisfaction', 0.9, '--so-far', 'many'], 'expected RUNS:FAILURES'),
-    (['--min-satisfaction', 0.9, '--failures', -1], 'within 0..1000'),
-    (['nowhere', '--min-satisfaction', 0.9], 'not a campaign'),
-    (['nowhere', '--min-satisfaction', 0.9, '--so-far', '4:0'], 'leave one out'),
-])
-def test_given_what_cannot_be_planned_then_one_line_says_why(taxinet, words, complaint):
-    code, _, said = taxinet('plan', *words)
-    assert code == 2
-    assert complaint in said
-    assert len(said.splitlines()) == 1

@@ -135,38 +135,3 @@ def _with_other_commands(source: Path, folder: Path) -> None:
             if topic.name == '/taxi_command' and stamp_ns == 400_000_000:
                 cdr = cdr[:-1] + bytes([cdr[-1] ^ 1])
             bag.write(topic.name, cdr, stamp_ns)
-
-
-BAD = {
-    'no bag': (('bag', 'replay', 'nowhere'), 'nowhere: no such bag'),
-    'unknown node': (('bag', 'replay', TRUTH, '--into', 'recorder'), '--into recorder: '),
-    'unknown network': (('bag', 'replay', TRUTH, '--perception', 'best'), "'best' is unknown"),
-    'tolerance below 0': (
-        ('bag', 'replay', TRUTH, '--tolerance-cte', '-1'), '--tolerance-cte -1: needs to be 0'
-    ),
-    'tolerance of the controller': (
-        ('bag', 'replay', TRUTH, '--into', 'steering_controller', '--tolerance-he', '1'),
-        '--into steering_controller: takes neither',
-    ),
-    'a file for a folder': (('bag', 'replay', TRUTH, '--out', __file__), 'already exists'),
-    'nothing to compare with': (('bag', 'compare', TRUTH, 'nowhere'), 'nowhere: no such bag'),
-    'unknown topic': (('bag', 'compare', TRUTH, TRUTH, '--skip', 'x'), '--skip x: neither bag'),
-    'no bag to render': (('bag', 'render', 'nowhere'), 'nowhere: no such bag'),
-    'no golden bags': (('bag', 'golden', 'nowhere'), 'nowhere: holds no bags'),
-    'neither scene nor bag': (('run',), 'run: name a SCENARIO, or a recorded run with --from'),
-    'scene and bag': (('run', 'nominal', '--from', TRUTH), 'SCENARIO is taken from the bag'),
-    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), '--seed is taken from the bag'),
-    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), '--set is taken from the bag'),
-    'bag and images': (('run', '--from', TRUTH, '--images', 'few'), '--images few: unknown'),
-    'no bag to run': (('run', '--from', 'nowhere'), 'nowhere: no such bag'),
-}
-
-
-@pytest.mark.parametrize('name', BAD)
-def test_given_bad_input_then_one_line_and_exit_code_2(name, taxinet):
-    words, expected = BAD[name]
-    code, out, err = taxinet(*words)
-    assert (code, out) == (2, '')
-    assert len(err.splitlines()) == 1
-    assert expected in err
-    assert not list(Path.cwd().iterdir())

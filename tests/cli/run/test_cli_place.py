@@ -90,19 +90,3 @@ def test_given_a_track_when_run_then_it_is_in_the_table_and_the_run_can_be_repea
     assert again.returncode == 0, again.stderr
     judged = taxinet('monitor', bag, '--spec', 'on_the_way=always(x >= 199 and abs(he) <= 0.5)')
     assert judged.returncode == 0, judged.stdout + judged.stderr
-
-
-@pytest.mark.parametrize(('words', 'line'), [
-    (('--set', 'place=XTST/9'), 'found; name one in TAXINET_APT_DAT, or as FILE.dat:XTST/9'),
-    (('--set', 'place=mars'), "place is 'mars', not one of kmwh_04, bikf_10, nzqn_05"),
-    (('--set', 'place=no.yaml'), 'no.yaml: cannot be read: No such file or directory'),
-    (('--set', 'place=nzqn_05', '--set', 'crossing=on'), 'crossing has no effect at nzqn_05'),
-    (('--set', 'track=exit_right'), "track is 'exit_right', not one of runway, exit_left, at"),
-    (('--set', 'place=nzqn_05', '--set', 'track=exit_left'), 'not one of runway, at nzqn_05'),
-    (('--set', 'place=nzqn_05', '--set', 'distance_m=1600'), 'outside 0..1450.3 m past the'),
-])
-def test_given_no_place_when_run_then_one_line_says_why(tmp_path, words, line):
-    done = taxinet('run', 'nominal', *words, '--out', tmp_path / 'out')
-    assert done.returncode == 2
-    assert line in done.stderr
-    assert len(done.stderr.splitlines()) == 1

@@ -117,19 +117,6 @@ def test_given_files_when_run_then_the_table_has_their_digests_and_the_bag_needs
     assert 'the same: ' in again.stdout
 
 
-@pytest.mark.parametrize(('words', 'line'), [
-    (('--set', 'aircraft=a380'), "aircraft is 'a380', not one of caravan, c172p"),
-    (('--set', 'camera=no.yaml'), 'no.yaml: cannot be read: No such file or directory'),
-    (('--camera', 'nose'), "'nose' is unknown; known: ours, "),
-    (('--set', 'aircraft=c172p', '--set', 'wind_speed_mps=9'), 'more than 5: the wind would lift'),
-])
-def test_given_no_such_rig_when_run_then_one_line_says_why(tmp_path, words, line):
-    done = taxinet('run', 'nominal', *words, '--out', tmp_path / 'out')
-    assert done.returncode == 2
-    assert line in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_given_an_aircraft_that_cannot_taxi_when_run_then_one_line_says_why(tmp_path):
     (tmp_path / 'own.yaml').write_text('name: own\nmodel: F450\n')
     done = taxinet(

@@ -43,14 +43,3 @@ def test_given_json_then_standard_output_is_that_and_nothing_else(taxinet):
     told = json.loads(out)
     assert code == 1
     assert told['outcomes']['FAIL'] == 1
-
-
-@pytest.mark.parametrize('words', ['heading=120', 'heading_deg=120', 'heading=2.0944 rad'])
-def test_given_a_value_out_of_range_then_the_line_has_the_unit_in_which_people_type(
-    words, taxinet
-):
-    code, _, err = taxinet('run', *SCENES, '--set', words, '--out', 'c')
-    assert (code, err.count('\n')) == (2, 1)
-    assert 'heading_deg is 120' in err
-    assert 'outside -90..90°, nose left positive' in err
-    assert '_rad' not in err
