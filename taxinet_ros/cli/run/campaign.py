@@ -143,14 +143,12 @@ def campaign_rows(
                 here.check(engine.book.facts)
             if not quiet:
                 lines = [campaign_heading(options), *scenes.notes]
+                if here is None and options.workers == 1:
+                    lines.append(f'your functions print to {options.out}/logs/worker-1.log')
                 progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
-            for line in requirement_lines(scenes.check, quiet=quiet):
+            live = [] if foxglove is None else [f'live at ws://127.0.0.1:{foxglove}']
+            for line in (*requirement_lines(scenes.check, quiet=quiet), *live):
                 progress.console.print(line, soft_wrap=True)
-            if foxglove is not None:
-                progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
-            if here is None and options.workers == 1 and not quiet:
-                printed = f'your functions print to {options.out}/logs/worker-1.log'
-                progress.console.print(printed, soft_wrap=True, markup=False)
             if here:
                 _run_here(engine, here, foxglove)
             else:
