@@ -91,7 +91,7 @@ def compare(
     from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
     from taxinet_ros.core.perception.perception import check_perception
     from taxinet_ros.core.world import world_word
-    from taxinet_ros.trials.options import LOOP, make_options
+    from taxinet_ros.trials.options import LOOP, make_options, make_out
 
     console = line_console(stderr=as_json)
     networks = before, after
@@ -103,6 +103,7 @@ def compare(
         out = _folder(out, networks)
         first = read_runs(Path(before))
         found = compared(*distinct_labels((first, read_runs(Path(after), first.spec))))
+        make_out(out)
     else:
         if any(named):
             raise UsageError(
@@ -127,6 +128,7 @@ def compare(
             ))
         else:
             shared = _scenes_of_runs(scenes, runs, of_program)
+        make_out(out)
         done = _driven(shared, networks, out, workers, console)
         if done is None:
             console.print('interrupted; the same command goes on')
@@ -150,7 +152,7 @@ def _is_campaign(word: str) -> bool:
 
 def _folder(out: Path | None, words: Sequence[str]) -> Path:
     from taxinet_ros.files.record import RECORD_NAME
-    from taxinet_ros.trials.options import DEFAULT_ROOT, make_out
+    from taxinet_ros.trials.options import DEFAULT_ROOT
 
     names = '-'.join(Path(word.rstrip('/')).stem.replace(':', '-') for word in words)
     out = out or DEFAULT_ROOT / f'compare-{names}'
@@ -158,7 +160,6 @@ def _folder(out: Path | None, words: Sequence[str]) -> Path:
     # Beside a record may be its journal, its lock and a damaged one.
     if {name for name in there if RECORD_NAME not in name} - _OURS:
         raise UsageError(f'--out {out}: contains something else; choose another folder')
-    make_out(out)
     return out
 
 

@@ -127,15 +127,10 @@ def test_given_networks_in_order_then_the_one_that_broke_the_scene_is_named(
 
 
 @pytest.mark.parametrize(('words', 'reason'), [
-    (('compare', 'truth', 'taxinet', 'nowhere'), 'nowhere'),
-    (('compare', 'truth', 'taxinet', 'one.parquet', '--seed', '1'),
-     '--seed: the scenes are those of one.parquet'),
     (('compare', 'truth', 'taxinet', 's_falsif', '--out', 'full'), 'contains something else'),
-    (('why', 'nowhere'), 'neither the folder of a campaign'),
     (('why', BAGS / 'golden' / 'truth-nominal', '--out', 'full'), 'contains something else'),
 ])
 def test_given_bad_input_then_one_line_and_exit_code_2(words, reason, taxinet, tmp_path):
-    shutil.copyfile(BAGS / 's_falsif_truth_400.parquet', tmp_path / 'one.parquet')
     (tmp_path / 'full').mkdir()
     (tmp_path / 'full' / 'mine.txt').write_text('')
     code, out, err = taxinet(*words)
