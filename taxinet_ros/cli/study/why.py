@@ -81,11 +81,11 @@ def why(
     asked = Budget(runs=budget)  # checked before anything is made
     with_engine((), engine, audit)
     where = check_cluster(cluster) if cluster else ''
-    subject, path = path, path.absolute()
     kind = kind_of(path)
+    subject, path = path, path.absolute()
     out = (out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
     if out.is_dir() and any(out.iterdir()) and not (out / RECORD_NAME).is_file():
-        raise UsageError(f'--out {out}: contains something else; choose another folder')
+        raise UsageError(f'--out {_near(out)}: contains something else; choose another folder')
     make_out(out)
 
     def show(line: str) -> None:
