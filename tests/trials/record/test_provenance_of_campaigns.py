@@ -12,6 +12,7 @@ from taxinet_ros.analysis.report.text import sentences
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import differences, provenance
+from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.study.stages.record import StageRecord, stack_warning
 from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.record import facts as facts_module
@@ -112,9 +113,12 @@ def test_provenance_of_each_stage_of_a_study_is_recorded_and_compared():
 def test_s11_every_shipped_table_has_every_documented_column(path):
     page = (Path(__file__).parents[3] / 'docs' / 'falsification.md').read_text()
     rows = page.partition('| columns | what |')[2].partition('\n\n')[0].splitlines()[2:]
-    documented = {
-        name.strip('`') for row in rows for name in row.split('|')[1].replace(',', ' ').split()
-    }
+    keys = '| the [keys of the scenario](reference/scenario.md) | the scene |'
+    assert keys in rows
+    documented = {*BY_KEY, *(
+        name.strip('`') for row in rows if row != keys
+        for name in row.split('|')[1].replace(',', ' ').split()
+    )}
     patterns = {'u_*', 'he_error_*_deg', 'rho_<formula>', 'rho_lower.<formula>',
                 'rho_upper.<formula>'}
     assert patterns < documented
