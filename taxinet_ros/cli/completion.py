@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, MutableMapping
 
 import typer
 
+from taxinet_ros.errors import ExitCode
 from taxinet_ros.registry import (
     CAMERAS,
     CONTROLLERS,
@@ -171,7 +172,7 @@ def _ended(ask: Callable[[], object]) -> object:
     try:
         return ask()
     except SystemExit as end:
-        return end.code
+        return ExitCode.USAGE if end.code else 0  # typer ends with 1 where it knows no such shell
 
 
 def _rejoined(environment: MutableMapping[str, str]) -> str:

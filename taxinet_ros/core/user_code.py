@@ -397,12 +397,14 @@ def contained(
 ) -> Iterator[None]:
     """Context in which user code runs: whatever it raises, the process goes on.
 
-    What it prints goes to stderr, except on a terminal.
+    A process that it forks ends with the context, since only this one may go on with the run. What
+    it prints goes to stderr, except on a terminal.
 
     Args:
         failed: converts any exception, including ``SystemExit``, to the one to raise.
         passing: exceptions that are raised as they are, beside KeyboardInterrupt.
     """
+    process = os.getpid()
     aside = sys.stdout if sys.stdout and sys.stdout.isatty() else sys.stderr
     with contextlib.redirect_stdout(aside):
         try:
@@ -413,6 +415,9 @@ def contained(
             raise
         except BaseException as error:
             raise failed(error) from error
+        finally:
+            if os.getpid() != process:
+                os._exit(0)
 
 
 def _said(error: BaseException) -> str:

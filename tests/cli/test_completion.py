@@ -110,6 +110,16 @@ def test_given_another_shell_when_it_asks_then_it_gets_the_whole_word(
     assert line in told[0]
 
 
+@pytest.mark.parametrize('word', ['bogus', 'complete_bogus', 'source_bogus'])
+def test_given_a_shell_that_is_not_known_when_it_asks_then_that_is_bad_input(word):
+    done = subprocess.run(
+        [TAXINET], env={**os.environ, '_TAXINET_COMPLETE': word}, capture_output=True, text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+
+
 @pytest.mark.parametrize(('words', 'environment', 'told'), [
     (['--show-completion'], {'_TAXINET_COMPLETE_TEST_DISABLE_SHELL_DETECTION': '1'}, ''),
     ([], {'_TAXINET_COMPLETE': 'source_zsh'}, '_taxinet_completion'),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -141,6 +142,26 @@ def test_given_a_ctrl_c_amid_a_function_then_it_is_one(file):
     text = 'import os\ndef make(seen):\n    os.kill(os.getpid(), 2)\n    while True: pass'
     with pytest.raises(KeyboardInterrupt):
         steering(file(text)).command(SEEN)
+
+
+@pytest.mark.parametrize('text', [
+    'def make(seen): os.fork(); return 0.0, 1.0',
+    'def make(seen): return (0.0, 1.0) if os.fork() else 1 / 0',
+    'os.fork()\ndef make(seen): return 0.0, 1.0',
+])
+def test_given_code_that_forks_then_only_one_process_goes_on(file, text):
+    script = (
+        'import sys\n'
+        'from taxinet_ros.core.motion.controller import SteeringGains, make_controller\n'
+        'from taxinet_ros.core.types import TrackingError\n'
+        'seen = TrackingError(cte_m=1.0, he_rad=0.1)\n'
+        'print(make_controller(sys.argv[1], SteeringGains()).command(seen).speed_mps)\n'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', script, file(f'import os\n{text}')], capture_output=True, text=True,
+        check=True,
+    )
+    assert (done.stdout, done.stderr) == ('1.0\n', '')
 
 
 @pytest.mark.parametrize('text', [

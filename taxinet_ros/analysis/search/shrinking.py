@@ -193,7 +193,6 @@ def _as_json(shrinking: Shrinking, found: Report) -> dict[str, Any]:
         'end': found.state.end.value or 'interrupted',
         'runs': len(shrinking.judged),
         'made_on': dict(provenance()),
-        'runs_needed': found.state.asked,
         'parameters': {
             one.key: {
                 **{name: value for name, value in dataclasses.asdict(one).items() if name != 'key'},

@@ -88,22 +88,14 @@ class ShrinkSearch:
         self._rule = rule
         self._answers: dict[Point, float] = {}
 
-    def wanted(self, limit: int = 1) -> list[Point]:
-        """Points to evaluate, the most urgent first; none if the search has ended.
+    @property
+    def wanted(self) -> list[Point]:
+        """Points to evaluate, in their order; none if the search has ended.
 
-        Args:
-            limit: maximum number of points. Those needed next come first, followed by those that
-                would be needed after either answer.
+        Each is needed whatever the answers for the others are, so what is evaluated does not depend
+        on how many are at once.
         """
-        found: dict[Point, None] = {}
-        guesses: list[dict[Point, float]] = [{}]
-        while guesses and len(found) < limit:
-            guess = guesses.pop(0)
-            missing = self._walk(guess).missing
-            found.update(dict.fromkeys(missing))
-            if len(missing) == 1:
-                guesses += [{**guess, missing[0]: rho} for rho in (-1.0, 1.0)]
-        return list(found)[:limit]
+        return self._walk().missing
 
     def tell(self, point: Point, rho: float) -> None:
         """Record an answer, requested or not."""
@@ -112,7 +104,7 @@ class ShrinkSearch:
     @property
     def state(self) -> State:
         """Current progress."""
-        walk = self._walk({})
+        walk = self._walk()
         return State(at=walk.at, asked=len(walk.asked), end=walk.end)
 
     def rho(self, point: Point) -> float | None:
@@ -123,8 +115,8 @@ class ShrinkSearch:
         """``point`` with one axis at ``steps``, made valid by the rule."""
         return self._rule((*point[:axis], steps, *point[axis + 1:]), axis)
 
-    def _walk(self, guess: Mapping[Point, float]) -> _Walk:
-        walk = _Walk(self, {**self._answers, **guess}, self._most)
+    def _walk(self) -> _Walk:
+        walk = _Walk(self, self._answers, self._most)
         walk.go()
         return walk
 

@@ -180,11 +180,8 @@ def result_lines(report: Report, shrinking: Shrinking, wall_s: float) -> list[st
         lines.append(
             f'shrunk: run {report.shrunk.index}, rho {rho:+.2f}: {scene_words(report.shrunk)}'
         )
-    runs = len(shrinking.judged)
-    ahead = runs - report.state.asked
-    guesses = f' ({ahead} of them ahead on a guess)' if ahead > 0 else ''
     took = ' in all' if shrinking.campaign.resume else f' in {wall_s:.0f} s'
-    lines.append(f'{runs} runs{guesses}{took}')
+    lines.append(f'{len(shrinking.judged)} runs{took}')
     return lines
 
 

@@ -106,10 +106,9 @@ class Shrinking(Proposer):
         return self.search.state.end.value
 
     def propose(self) -> int | None:
-        """The number of the most urgent point not in flight, or of one that may be needed later."""
+        """See :class:`.Proposer`."""
         under_way = set(self._points.values()) - self.judged.keys()
-        wanted = self.search.wanted(len(under_way) + 1)
-        point = next((point for point in wanted if point not in under_way), None)
+        point = next((point for point in self.search.wanted if point not in under_way), None)
         if point is None:
             return None
         index = self._numbers.get(_key(self.space.scenario(point).to_human()))
