@@ -333,4 +333,7 @@ def test_a_file_that_is_gone_is_noticed_at_the_next_entry(tmp_path: Path, how: s
                 path.write_bytes(data)
         with pytest.raises(RecordError, match='was moved, deleted or replaced'):
             record.put('row', 'more', 1)
+    there = {'moved': path.with_name('other.db'), 'folder': tmp_path / 'other' / path.name}
+    if how in there:
+        assert read_record(there[how])['row'] == ROWS, 'nothing is written where it is now'
 
