@@ -595,10 +595,16 @@ def _replace(sitting: _Sitting) -> None:
 
 
 def _move_back(sitting: _Sitting) -> None:
-    if (sitting.place / 'elsewhere').is_dir():
-        if sitting.out.is_dir():
-            shutil.rmtree(sitting.out)
-        (sitting.place / 'elsewhere').rename(sitting.out)
+    moved = sitting.place / 'elsewhere'
+    if not moved.is_dir():
+        return
+    anew = sitting.process.returncode in VERDICTS and any(sitting.out.glob(f'**/{RECORD_NAME}'))
+    if anew:  # it was moved before the command had opened it
+        shutil.rmtree(moved)
+        return
+    if sitting.out.is_dir():
+        shutil.rmtree(sitting.out)
+    moved.rename(sitting.out)
 
 
 def _copy_over(sitting: _Sitting) -> None:
