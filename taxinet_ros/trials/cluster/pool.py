@@ -311,7 +311,12 @@ class ClusterPool:
         while not self._completed.has_ready() and time.monotonic() - now_s < timeout_s:
             time.sleep(_POLL_S)
         ended = self._completed.next_batch(block=False)
-        return [answer for future, done in ended for answer in self._taken(future, done)]
+        answers = [answer for future, done in ended for answer in self._taken(future, done)]
+        # What fails when it is made again, its result being lost with a worker, is not among them.
+        failed = [future for future in self._runs if future.status == 'error']
+        return answers + [
+            answer for future in failed for answer in self._taken(future, future.exception())
+        ]
 
     def interrupt(self) -> None:
         """Give up all runs in flight, which are made after a resume."""
@@ -399,7 +404,12 @@ class ClusterPool:
     # Results -----------------------------------------------------------------------------------
 
     def _taken(self, future: Future[Done], done: Any) -> Iterator[Answer]:
-        """The answer of a task that has ended, unless its run is made again."""
+        """The answer of a task that has ended, unless its run is made again.
+
+        Args:
+            future: its future; its status may have changed since, as with the loss of a worker.
+            done: its result or its exception, which Dask also gives as a tuple with its class.
+        """
         from distributed import KilledWorker
 
         from taxinet_ros.trials.cluster.task import UnfitError
@@ -407,10 +417,10 @@ class ClusterPool:
         if future not in self._runs:  # it was cancelled
             return
         request, _ = self._runs.pop(future)
-        if future.status == 'finished':
+        error = done if isinstance(done, BaseException) else done[1]
+        if not isinstance(error, BaseException):
             yield request, self._in_place(request, *done)
             return
-        error = future.exception() or done
         if isinstance(error, UnfitError):
             self._set_aside(*error.args)
             self.give(request)

@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -210,8 +211,10 @@ def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_another_cluster_
     with DaskProcesses(tmp_path / 'dask') as processes:
         only = processes.add_worker()
 
-        def replace(search: Search) -> None:  # with runs that wait for it
+        def replace(search: Search) -> None:
+            time.sleep(0.2)  # with results that have come and are not taken, and runs that wait
             kill(only)
+            time.sleep(0.2)
             processes.add_worker()
 
         there(processes.address, out, [], {20: replace}, sampler='halton', resume=True)
