@@ -213,6 +213,7 @@ def _add_what_was_so(frame: pd.DataFrame) -> None:
             list(frame.columns).index(before.key) + 1, field.key,
             [value if there else nothing for there in drawn],
         )
+        # pandas' stubs list the names of types, and this is any string.
         frame[field.key] = frame[field.key].astype(field.column_type)  # type: ignore[call-overload]
 
 
