@@ -31,9 +31,16 @@ class ToldInterrupt(KeyboardInterrupt):
 def raise_interrupt(number: int, frame: FrameType | None) -> None:
     """Handle a signal like Ctrl-C, by raising KeyboardInterrupt, so that cleanup code runs.
 
+    Amid an import it ends the process instead: C modules such as numpy's turn an interrupt into an
+    ImportError of theirs.
+
     Raises:
         KeyboardInterrupt: always.
     """
+    while frame is not None and not frame.f_code.co_filename.startswith('<frozen importlib'):
+        frame = frame.f_back
+    if frame is not None:
+        exit_at_once(number, frame)
     _note(number)
     raise KeyboardInterrupt
 

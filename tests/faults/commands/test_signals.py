@@ -103,8 +103,14 @@ def test_given_work_that_does_not_return_then_the_second_interrupt_ends_the_proc
 @pytest.mark.parametrize('lost', [
     'callback = weakref.ref(thing, lambda gone: os.kill(os.getpid(), signal.SIGTERM)); del thing',
     'type(thing).__del__ = lambda gone: os.kill(os.getpid(), signal.SIGTERM); del thing',
+    'import interrupted',
 ])
-def test_given_an_interrupt_in_a_callback_that_python_ignores_then_the_command_still_ends(lost):
+def test_given_an_interrupt_that_other_code_would_drop_then_the_command_still_ends(lost, tmp_path):
+    (tmp_path / 'interrupted.py').write_text(  # like numpy's C modules
+        'import os, signal\n'
+        'try: os.kill(os.getpid(), signal.SIGTERM)\n'
+        'except BaseException as error: raise ImportError("failed to import") from error\n'
+    )
     program = (
         'import os, signal, weakref\n'
         'from taxinet_ros.cli.start import _run\n'
@@ -118,6 +124,7 @@ def test_given_an_interrupt_in_a_callback_that_python_ignores_then_the_command_s
     )
     done = subprocess.run(
         [sys.executable, '-P', '-c', program], capture_output=True, text=True, check=False,
+        env=os.environ | {'PYTHONPATH': str(tmp_path)},
     )
     assert (done.returncode, done.stdout, done.stderr) == (143, '', 'taxinet: interrupted\n')
 
