@@ -173,9 +173,10 @@ class SceneSource:
         )
         self._fds = (fds[0], fds[1])
         try:
+            self._send({'op': 'compile', 'program': str(self.program)})
             self._meanwhile()
             self._child.pid = self._receive(START_TIMEOUT_S)['pid']
-            self._read(**self._ask({'op': 'compile', 'program': str(self.program)}))
+            self._read(**self._receive(self._timeout_s + GRACE_S))
             self._probe()
         except BaseException:
             self._stop()
@@ -358,8 +359,7 @@ class SceneSource:
     def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if self._child is None:
             raise RuntimeError('SceneSource: not running; use it in a with statement')
-        with contextlib.suppress(BrokenPipeError):  # then _receive reports how it died
-            os.write(self._fds[1], json.dumps(request).encode() + b'\n')
+        self._send(request)
         try:
             return self._receive(self._timeout_s + GRACE_S)
         except (UsageError, InfraError):
@@ -367,6 +367,10 @@ class SceneSource:
         except BaseException:
             self._stop()  # interrupted: a late answer must not be taken for the next one
             raise
+
+    def _send(self, request: Mapping[str, Any]) -> None:
+        with contextlib.suppress(BrokenPipeError):  # then _receive reports how it died
+            os.write(self._fds[1], json.dumps(request).encode() + b'\n')
 
     def _receive(self, allowed_s: float) -> dict[str, Any]:
         deadline = time.monotonic() + allowed_s
