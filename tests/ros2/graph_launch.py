@@ -57,5 +57,5 @@ class TestEnded(unittest.TestCase):
         launch_testing.asserts.assertExitCodes(proc_info)
         with (OUT / 'runs.csv').open() as table:
             (run,) = csv.DictReader(table)
-        self.assertEqual(run['outcome'], 'SATISFIED')
-        self.assertTrue(list(OUT.glob('*/*.mcap')))
+        assert run['outcome'] == 'SATISFIED'
+        assert list(OUT.glob('*/*.mcap'))

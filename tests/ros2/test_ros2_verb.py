@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 import ros2taxinet
 
 ROOT = Path(__file__).parents[2]
