@@ -1,4 +1,7 @@
-"""Our linters for ``colcon test``, where they are installed; ``make lint`` runs the same."""
+"""Our linters for ``colcon test``, where they are installed.
+
+mypy is left to ``make lint``: it judges by the types of numpy 2, and a Jazzy of Ubuntu 24.04 has 1.26.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,6 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize(('module', 'words'), [
     ('ruff', ['ruff', 'check', '--no-cache', '.']),
-    ('mypy', ['mypy']),
     ('importlinter', ['lint-imports', '--no-cache']),
 ])
 def test_given_the_sources_then_the_linter_has_nothing_to_say(module, words):
