@@ -1,6 +1,6 @@
 """Our linters for ``colcon test``, where they are installed.
 
-mypy is left to ``make lint``: it judges by the types of numpy 2, and a Jazzy of Ubuntu 24.04 has 1.26.
+mypy is left to ``make lint``: it judges by the types of numpy 2, and a stock Jazzy has 1.26.
 """
 
 from __future__ import annotations
