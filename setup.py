@@ -164,6 +164,7 @@ setup(
     maintainer=manifest('maintainer'),
     ext_modules=[PIXELS],
     packages=find_packages(include=[NAME, f'{NAME}.*']),
+    py_modules=['ros2taxinet'],
     package_data={NAME: DATA},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
@@ -180,6 +181,7 @@ setup(
     extras_require=EXTRAS,
     entry_points={
         'console_scripts': ['taxinet = taxinet_ros.cli.start:main'],
+        'ros2cli.command': ['taxinet = ros2taxinet:TaxinetCommand'],
         **{
             f'{NAME}.{kind}': [f'{name} = {target}' for name, target in targets.items()]
             for kind, targets in SHIPPED.items()

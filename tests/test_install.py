@@ -277,20 +277,41 @@ def test_given_the_installation_when_shared_files_are_read_then_they_are_the_rep
     assert (PREFIX / 'share/ament_index/resource_index/packages/taxinet_ros').exists()
 
 
-def test_given_a_colcon_workspace_when_built_then_ros2_run_and_launch_find_everything(
+CPP = {
+    'CMakeLists.txt': """
+cmake_minimum_required(VERSION 3.16)
+project(user)
+find_package(taxinet_msgs REQUIRED)
+add_executable(user user.cpp)
+target_link_libraries(user ${taxinet_msgs_TARGETS})
+target_link_options(user PRIVATE -Wl,--allow-shlib-undefined)
+""",
+    'user.cpp': """
+#include <iostream>
+#include <taxinet_msgs/msg/tracking_error.hpp>
+int main() {
+  taxinet_msgs::msg::TrackingError error;
+  error.cross_track_error = 1.5;
+  std::cout << taxinet_msgs::msg::to_yaml(error);
+}
+""",
+}
+
+
+def test_given_a_colcon_workspace_when_built_then_ros2_run_launch_and_cpp_find_everything(
     tmp_path: Path,
 ) -> None:
     bases = ('--build-base', tmp_path / 'build', '--install-base', tmp_path / 'install')
+    within = {
+        **os.environ,
+        'PATH': f'{PREFIX}/bin:{os.environ["PATH"]}',
+        'AMENT_PREFIX_PATH': str(PREFIX),
+        'CMAKE_PREFIX_PATH': str(PREFIX),
+    }
     done = run(
         *(PREFIX / 'bin' / 'colcon', '--log-base', tmp_path / 'log'),
-        *('build', '--base-paths', REPOSITORY, *bases),
-        cwd=tmp_path,
-        env={
-            **os.environ,
-            'PATH': f'{PREFIX}/bin:{os.environ["PATH"]}',
-            'AMENT_PREFIX_PATH': str(PREFIX),
-            'CMAKE_PREFIX_PATH': str(PREFIX),
-        },
+        *('build', '--base-paths', REPOSITORY, REPOSITORY / 'msg_defs', *bases),
+        cwd=tmp_path, env=within,
     )
     assert done.returncode == 0, done.stderr
     installed = tmp_path / 'install' / 'taxinet_ros'
@@ -300,3 +321,12 @@ def test_given_a_colcon_workspace_when_built_then_ros2_run_and_launch_find_every
     assert (installed / 'share/ament_index/resource_index/packages/taxinet_ros').exists()
     package = next(installed.glob('lib/python3*/site-packages/taxinet_ros'))
     assert list(package.glob('core/rig/models/*/*.xml'))
+    assert (package.parent / 'ros2taxinet.py').exists()
+
+    for name, text in CPP.items():
+        (tmp_path / name).write_text(text)
+    script = (f'. install/setup.sh && cmake -S . -B user -DPython3_EXECUTABLE={sys.executable} && '
+              'cmake --build user && user/user')
+    done = run('sh', '-c', script, cwd=tmp_path, env=within)
+    assert done.returncode == 0, done.stderr
+    assert 'cross_track_error: 1.5' in done.stdout

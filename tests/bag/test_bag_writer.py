@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -269,3 +270,15 @@ def test_given_a_run_when_foxgloves_packages_read_it_then_values_are_the_same(
     assert read['counts']['/camera/image_raw'] == STEPS
     assert read['angles'] == open_recording(bag).columns['steering_rad'].tolist()
     assert read['attachments'] == ['manifest.json', 'scenario.json']
+
+
+@pytest.mark.skipif(shutil.which('rerun') is None, reason='no rerun-sdk on this machine')
+def test_given_a_run_when_rerun_checks_it_then_every_topic_is_in_order(tmp_path: Path) -> None:
+    done = subprocess.run(
+        ['rerun', 'mcap', 'check', str(write_run(tmp_path / 'run'))],
+        capture_output=True, text=True, check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = re.findall(r'^(\w+) +\d+ +\d+ +(/\S+)', done.stdout, re.MULTILINE)
+    assert {result for result, _ in rows} == {'ok'}
+    assert {topic for _, topic in rows} == {topic for topic, _, _ in run_messages()}

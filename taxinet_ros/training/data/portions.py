@@ -188,4 +188,4 @@ def parse_portion(text: str, kind: Literal['program', 'runs']) -> Portion:
 def portion_seed(seed: int, number: int) -> int:
     """Seed of a portion's scenes, distinct since the main set may use the same program."""
     drawn = np.random.SeedSequence([seed, _PORTIONS, number]).generate_state(1, np.uint64)
-    return int(drawn[0] >> 1)
+    return int(drawn[0]) >> 1

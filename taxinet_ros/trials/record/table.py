@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import filterfalse, pairwise
@@ -173,6 +174,8 @@ def read_any_table(path: Path) -> pd.DataFrame:
         columns.validate(full=True)  # such as invalid UTF-8
         _check_names(columns.schema)
         frame = columns.to_pandas()
+        # Older pyarrow, as numpy 1.26 asks for, leaves what pandas has laid down beside it.
+        frame.attrs = json.loads((columns.schema.metadata or {}).get(b'PANDAS_ATTRS', '{}'))
     except Exception as error:  # third-party reader on untrusted bytes
         raise _damaged(path, error) from error
     names = [str(name) for name in frame.columns]
