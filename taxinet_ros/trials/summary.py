@@ -40,10 +40,10 @@ _STYLES = {
 }
 
 
-def campaign_heading(options: CampaignOptions) -> str:
-    """Heading that describes the campaign."""
+def campaign_heading(options: CampaignOptions, here: str = 'one process') -> str:
+    """Heading that describes the campaign; ``here`` is what one graph of it runs in."""
     runs = 'run' if options.runs == 1 else 'runs'
-    layout = 'separate processes' if options.processes else 'one process'
+    layout = 'separate processes' if options.processes else here
     layout = layout if options.workers == 1 else workers_words(options)
     graph = f'{participants_words(options)}, {layout}'
     return (

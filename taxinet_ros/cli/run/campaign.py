@@ -144,6 +144,7 @@ def campaign_rows(
             if not quiet:
                 lines = [campaign_heading(options), *scenes.notes]
                 if here is None and options.workers == 1:
+                    lines[0] = campaign_heading(options, 'one worker process')
                     lines.append(f'your functions print to {options.out}/logs/worker-1.log')
                 progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             live = [] if foxglove is None else [f'live at ws://127.0.0.1:{foxglove}']
