@@ -118,11 +118,16 @@ class Record:
 
     def remove(self, kind: str) -> None:
         """Remove all entries of a kind. Raises as :meth:`put_all`."""
-        with _named(self._path):
-            keys = self._open().execute('SELECT key FROM entries WHERE kind = ?', (kind,))
-            gone = [(kind, str(key), None) for key, in keys]
-        if gone:
+        if gone := [(kind, key, None) for key in self.keys(kind)]:
             self._change(gone)
+
+    def keys(self, kind: str) -> list[str]:
+        """Keys of its entries of a kind, in order."""
+        with _named(self._path):
+            found = self._open().execute(
+                'SELECT key FROM entries WHERE kind = ? ORDER BY key', (kind,)
+            )
+            return [str(key) for key, in found]
 
     def check_in_place(self) -> None:
         """Check that the file is where it was opened.
@@ -214,16 +219,25 @@ def read_entry(path: Path, kind: str, key: str = '') -> Any:
     Raises:
         UsageError: there is no such record, or it is damaged or of another version.
     """
+    for text in read_texts(path, kind, [key]).values():
+        return json.loads(text)
+    return None
+
+
+def read_texts(path: Path, kind: str, keys: Iterable[str]) -> dict[str, str]:
+    """Those of some entries that are there, as JSON by key; raises as :func:`read_entry`."""
     if not path.is_file():
         raise UsageError(f'{path}: no such file')
+    found = {}
     with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
         _check_version(path, connection)
-        found = connection.execute(f'{_ALL} WHERE kind = ? AND key = ?', (kind, key)).fetchone()
-    if found is None:
-        return None
-    if not _is_intact(*found):
-        raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
-    return json.loads(found[2])
+        for key in keys:
+            one = connection.execute(f'{_ALL} WHERE kind = ? AND key = ?', (kind, key)).fetchone()
+            if one is not None:
+                if not _is_intact(*one):
+                    raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
+                found[key] = str(one[2])
+    return found
 
 
 def record_kinds(path: Path) -> set[str]:
