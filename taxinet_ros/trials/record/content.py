@@ -13,7 +13,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Entries, read_record, read_texts
 from taxinet_ros.trials.record.facts import BEGUN, FACTS, ROW, SPARE
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.record.rows import FEW, Intervals, RecordedRows, RowsByIndex, values_of
+from taxinet_ros.trials.record.rows import Intervals, RecordedRows, RowsByIndex, values_of
 
 REQUIREMENT, DOCUMENT, END = 'requirement', 'document', 'end'
 """Kinds of entries: a formula evaluated afterwards, a document that is not shipped, and that the
@@ -22,8 +22,9 @@ campaign ended in good order after the last result."""
 AS_TEXT = frozenset({BEGUN, ROW})
 """Kinds of which there is one a run, and that are read later (:mod:`.rows`)."""
 
-_PART = 2000
-"""Rows of an open campaign that are read together."""
+FEW = 1000
+"""Number of rows up to which all are made at once, so that what is wrong is named at once, and of
+rows of an open campaign that are in memory at once."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -152,8 +153,8 @@ class StoredRows:
     def parts(self) -> Iterator[Sequence[RunRow]]:
         """The rows in parts, of which one at a time is in memory."""
         older, latest = len(self) - len(self.latest), self.latest[:]
-        for at in range(0, older, _PART):
-            yield self._read(self._indices[at:min(at + _PART, older)])
+        for at in range(0, older, FEW):
+            yield self._read(self._indices[at:min(at + FEW, older)])
         if latest:
             yield latest
 
