@@ -24,13 +24,15 @@ from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.book import CampaignBook, finished_row
-from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.content import StoredRows, read_campaign
 from taxinet_ros.trials.record.facts import facts_of_runs
 from taxinet_ros.trials.record.resumption import check_same_campaign, unfinished_search
 from taxinet_ros.trials.record.table import campaign_table
+from taxinet_ros.trials.summary import Summary, campaign_summary
 
 SIZES = (1_000, 10_000)
 
@@ -60,12 +62,13 @@ def record(folder: Path, runs: int) -> None:
         )
         for _ in range(100)
     ]
+    rows, summary = StoredRows(folder / RECORD_NAME, (), {}), Summary()
     with CampaignBook(asked, ('perception',)) as book:
         book.begin(_facts(asked))
         for index in range(runs):
             request = book.begin_run(index, scenes[index % len(scenes)])
             rho = draw.uniform(-0.1, 0.9)
-            book.keep(finished_row(asked, request, RunResult(
+            row = finished_row(asked, request, RunResult(
                 outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
                 robustness={asked.judging.headline: RobustnessInterval.exactly(rho)},
                 last_seq=300, wall_s=draw.uniform(0.3, 0.5), statistics=RunStatistics(
@@ -73,8 +76,12 @@ def record(folder: Path, runs: int) -> None:
                     cte_error=_errors(draw), he_error=_errors(draw),
                     unusable_estimates=0,
                 ),
-            )))
+            ))
+            rows.append(row)
+            summary.take(row)
+            book.keep(row)
         book.complete = True
+    assert campaign_summary(summary, asked)
 
 
 def read(folder: Path, runs: int) -> None:

@@ -121,7 +121,7 @@ def falsify(
     with _opened(search) as led:
         _execute(search, led)
         write_learned(search)
-    exit_code(search.rows)  # raises if no scene could be run
+    exit_code(search.summary)  # raises if no scene could be run
     return open_campaign(options.out)
 
 
@@ -186,7 +186,7 @@ def estimate(
             raise UsageError(words)
         found = estimate_of(search)
         write_estimate(found, search)
-    exit_code(search.rows)
+    exit_code(search.summary)
     return found
 
 

@@ -24,9 +24,8 @@ from rich.progress import (
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import interrupts
-from taxinet_ros.trials.rates import count_outcomes
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.summary import row_line
+from taxinet_ros.trials.summary import Summary, row_line
 
 _PAGE_WIDTH = 100
 HEARTBEAT = 'TAXINET_HEARTBEAT_S'
@@ -36,14 +35,14 @@ _HEARTBEAT_S = 10.0
 
 @contextlib.contextmanager
 def print_rows_if_lost(
-    console: Console, rows: Sequence[RunRow], *, shown: bool
+    console: Console, found: Summary, rows: Sequence[RunRow] = ()
 ) -> Iterator[None]:
     """Context in which a campaign is recorded; on a write error, print the rows known so far.
 
     Args:
         console: console to print to.
-        rows: rows of the campaign, as they come.
-        shown: whether rows are already printed one by one.
+        found: summary of the campaign, as its rows come.
+        rows: those that are not printed as they come.
 
     Raises:
         RecordError: for every operating system error during the campaign; it is not a usage error.
@@ -51,8 +50,8 @@ def print_rows_if_lost(
     try:
         yield
     except (OSError, RecordError) as error:
-        lines = [] if shown else [row_line(row) for row in rows]
-        for line in [*lines, f'known until then: {count_outcomes(rows) or "nothing"}']:
+        lines = map(row_line, rows)
+        for line in [*lines, f'known until then: {found.count_words() or "nothing"}']:
             console.print(line, soft_wrap=True)
         if isinstance(error, RecordError):
             raise

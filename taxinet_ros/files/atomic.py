@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -106,12 +107,33 @@ def make_atomically(path: Path, make: Callable[[Path], T], *, sync: bool = True)
     return made
 
 
-def write_parquet(path: Path, frame: pd.DataFrame) -> None:
+def write_parquet(path: Path, frames: pd.DataFrame | Iterable[pd.DataFrame]) -> None:
     """Write a table atomically, with its ``attrs`` and a checksum of each page; without its index.
+
+    Args:
+        path: the file; its folder exists.
+        frames: the table, or parts of it with the same columns and ``attrs``.
 
     Raises:
         OSError: it cannot be written.
     """
-    make_atomically(path, lambda draft: frame.to_parquet(
-        draft, index=False, write_page_checksum=True
-    ))
+    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    def write(draft: Path) -> None:
+        with contextlib.ExitStack() as opened:
+            writer = None
+            for frame in [frames] if isinstance(frames, pd.DataFrame) else frames:
+                columns = pa.Table.from_pandas(frame, preserve_index=False)
+                if writer is None:
+                    # The key is that of pandas, which reads it back.
+                    attributes = {'PANDAS_ATTRS': json.dumps(frame.attrs)} if frame.attrs else {}
+                    writer = opened.enter_context(pyarrow.parquet.ParquetWriter(
+                        draft, columns.schema.with_metadata(
+                            {**(columns.schema.metadata or {}), **attributes}
+                        ), write_page_checksum=True,
+                    ))
+                writer.write_table(columns.replace_schema_metadata(writer.schema.metadata))
+
+    make_atomically(path, write)

@@ -3,6 +3,8 @@
 An entry has a kind, a key and plain values. Each change is one transaction, on the disk before the
 method returns; the rollback journal leaves one plain file that can be copied and read anywhere,
 which write-ahead logging would not. A crash therefore leaves the entries before or after a change.
+While the file is open for writing, one journal is used again and again, which takes less time than
+to make and remove one for each change.
 
 Each entry has a digest, and the file has their number and the digest of all of them, so a flipped
 bit, a lost entry and a torn file are found when it is read. A file that somebody replaced by an
@@ -72,11 +74,12 @@ class Record:
         try:
             with _named(path):
                 self._connection = _connect(path, 'rwc' if create else 'rw')
+                self._inode = _inode(path)
+                self._connection.execute('PRAGMA journal_mode = PERSIST')
                 _begin(self._connection)
             sync_folder(path.parent)
             self._entries = _checked(path, self._connection, as_text)
             self._total = _total(self._connection)
-            self._inode = _inode(path)
         except BaseException:
             self.close()
             raise
@@ -115,11 +118,16 @@ class Record:
 
     def remove(self, kind: str) -> None:
         """Remove all entries of a kind. Raises as :meth:`put_all`."""
-        with _named(self._path):
-            keys = self._open().execute('SELECT key FROM entries WHERE kind = ?', (kind,))
-            gone = [(kind, str(key), None) for key, in keys]
-        if gone:
+        if gone := [(kind, key, None) for key in self.keys(kind)]:
             self._change(gone)
+
+    def keys(self, kind: str) -> list[str]:
+        """Keys of its entries of a kind, in order."""
+        with _named(self._path):
+            found = self._open().execute(
+                'SELECT key FROM entries WHERE kind = ? ORDER BY key', (kind,)
+            )
+            return [str(key) for key, in found]
 
     def check_in_place(self) -> None:
         """Check that the file is where it was opened.
@@ -135,6 +143,10 @@ class Record:
     def close(self) -> None:
         """Close it; a second call has no effect."""
         if self._connection is not None:
+            # The journal may stay, as after a killed command, but is no other record's.
+            with contextlib.suppress(sqlite3.Error, RecordError):
+                self.check_in_place()
+                self._connection.execute('PRAGMA journal_mode = DELETE')
             self._connection.close()
             self._connection = None
         if self._lock >= 0:
@@ -149,8 +161,6 @@ class Record:
         connection = self._open()
         number, total = self._total
         with self._in_place(), _named(self._path), _transaction(connection):
-            if _total(connection) != self._total:
-                raise RecordError(f'{self._path}: was changed by another program')
             for kind, key, value in entries:
                 found = connection.execute(
                     'SELECT digest FROM entries WHERE kind = ? AND key = ?', (kind, key)
@@ -167,7 +177,12 @@ class Record:
                 connection.execute(
                     'INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?)', (kind, key, value, digest)
                 )
-            connection.execute('UPDATE total SET number = ?, digest = ?', (number, total))
+            done = connection.execute(
+                'UPDATE total SET number = ?, digest = ? WHERE number = ? AND digest = ?',
+                (number, total, *self._total),
+            )
+            if done.rowcount != 1:
+                raise RecordError(f'{self._path}: was changed by another program')
         self._total = number, total
 
     @contextlib.contextmanager
@@ -204,16 +219,25 @@ def read_entry(path: Path, kind: str, key: str = '') -> Any:
     Raises:
         UsageError: there is no such record, or it is damaged or of another version.
     """
+    for text in read_texts(path, kind, [key]).values():
+        return json.loads(text)
+    return None
+
+
+def read_texts(path: Path, kind: str, keys: Iterable[str]) -> dict[str, str]:
+    """Those of some entries that are there, as JSON by key; raises as :func:`read_entry`."""
     if not path.is_file():
         raise UsageError(f'{path}: no such file')
+    found = {}
     with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
         _check_version(path, connection)
-        found = connection.execute(f'{_ALL} WHERE kind = ? AND key = ?', (kind, key)).fetchone()
-    if found is None:
-        return None
-    if not _is_intact(*found):
-        raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
-    return json.loads(found[2])
+        for key in keys:
+            one = connection.execute(f'{_ALL} WHERE kind = ? AND key = ?', (kind, key)).fetchone()
+            if one is not None:
+                if not _is_intact(*one):
+                    raise UsageError(f'{path}: damaged (entry {kind} {key!r:.80})')
+                found[key] = str(one[2])
+    return found
 
 
 def record_kinds(path: Path) -> set[str]:
@@ -343,7 +367,10 @@ def _check_journal(path: Path) -> None:
             header = file.read(28)
             sector, page = (int.from_bytes(header[at:at + 4]) for at in (20, 24))
             file.seek(sector)
-            while len(record := file.read(page + 8)) == page + 8 > 36:
+            for _ in range(int.from_bytes(header[8:12])):  # behind them are older ones
+                record = file.read(page + 8)
+                if len(record) < page + 8 or page < 28:
+                    return
                 if int.from_bytes(record[:4]) == 1:
                     before = int.from_bytes(record[28:32])
                     if header[:8] == _JOURNAL and int.from_bytes(now) > before + 1:

@@ -268,14 +268,14 @@ def _campaign(node: StandaloneSampler, executor: Any) -> int:
             campaign_heading(node.campaign), *scenes.notes, *_plain_requirements(scenes.check),
         ])
         answers = _drive(node, executor, engine)
-    rows = engine.rows
-    if rows:
-        _say(node, campaign_summary(rows, node.campaign).splitlines())
+    found = engine.summary
+    if found:
+        _say(node, campaign_summary(found, node.campaign).splitlines())
     if answers.trouble:
         return complain(answers.trouble, ExitCode.INFRA)
-    if node.interrupted and len(rows) < node.campaign.runs:
+    if node.interrupted and len(found) < node.campaign.runs:
         return ExitCode.INTERRUPTED
-    return exit_code(rows)
+    return exit_code(found)
 
 
 def _search(node: StandaloneSampler, executor: Any, search: Search) -> int:
@@ -293,7 +293,7 @@ def _search(node: StandaloneSampler, executor: Any, search: Search) -> int:
         return complain(f'{answers.trouble}; continue with {resuming}', ExitCode.INFRA)
     if engine.interrupted and len(engine.rows) < engine.options.runs:
         return ExitCode.INTERRUPTED
-    return exit_code(engine.rows)
+    return exit_code(engine.summary)
 
 
 def _plain_requirements(check: SpecCheck) -> list[str]:

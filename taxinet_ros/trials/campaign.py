@@ -20,6 +20,7 @@ from taxinet_ros.trials.engine import Proposer
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import campaign_facts
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.summary import Summary
 
 
 class ProgramOrder(Proposer):
@@ -103,7 +104,7 @@ class ProgramOrder(Proposer):
         return {}
 
 
-def exit_code(rows: list[RunRow]) -> ExitCode:
+def exit_code(found: Summary) -> ExitCode:
     """Exit code for a campaign's rows.
 
     Returns:
@@ -112,7 +113,7 @@ def exit_code(rows: list[RunRow]) -> ExitCode:
     Raises:
         UsageError: no scene could be run.
     """
-    outcomes = {row.outcome for row in rows}
+    outcomes = found.outcomes.keys()
     if Outcome.INTERRUPTED in outcomes:
         return ExitCode.INTERRUPTED
     if Outcome.INFRA_ERROR in outcomes:
@@ -120,6 +121,6 @@ def exit_code(rows: list[RunRow]) -> ExitCode:
     if Outcome.FAIL in outcomes:
         return ExitCode.VIOLATED
     if Outcome.PASS not in outcomes:
-        why = f'; the first: {rows[0].detail}' if rows else ''
+        why = f'; the first: {found.first_rejected}' if found.first_rejected else ''
         raise UsageError(f'no run could be judged: every scene was rejected{why}')
     return ExitCode.OK

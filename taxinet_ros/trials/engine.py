@@ -14,6 +14,7 @@ import abc
 import contextlib
 import dataclasses
 import itertools
+from bisect import insort
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from types import TracebackType
@@ -24,15 +25,17 @@ from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.samplers.sampler import LAG, Exhausted
 from taxinet_ros.scenes.source import Rejected
 from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import AUDIT, CampaignOptions
 from taxinet_ros.trials.record.book import CampaignBook, finished_row, rejected_row
-from taxinet_ros.trials.record.content import CampaignContent
+from taxinet_ros.trials.record.content import CampaignContent, StoredRows
 from taxinet_ros.trials.record.facts import planned_runs
 from taxinet_ros.trials.record.resumption import check_same_campaign, kept_facts, undecided_facts
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.summary import Summary
 from taxinet_ros.trials.worker_pool import Answer
 
 
@@ -122,6 +125,7 @@ class Engine(Generic[P_co]):
         options: options of the campaign.
         rows: one row per completed run, also of earlier sessions, in the order in which they were
             needed or ended; after the ``with``, also rows that were not needed in this session.
+        summary: what is known of all of them, without reading them.
         stopped: why it ended early, or ''.
         exhausted: whether the proposer had no more scenes.
         broken: the row of the infrastructure error that ended it, or None.
@@ -142,7 +146,8 @@ class Engine(Generic[P_co]):
         """
         self.proposer = proposer
         self.options = proposer.campaign
-        self.rows: list[RunRow] = []
+        self.rows = StoredRows(self.options.out / RECORD_NAME, (), {})
+        self.summary = Summary()
         self.stopped = ''
         self.exhausted = False
         self.broken: RunRow | None = None
@@ -152,7 +157,9 @@ class Engine(Generic[P_co]):
         self._asked = 0
         self._retries: list[RunRequest] = []
         self._retried: set[int] = set()
-        self._broken: dict[int, bool] = {}  # of this session, in the order of their start
+        self._started: dict[int, int] = {}  # in flight, with their place in the order of start
+        self._places = itertools.count()
+        self._broken: list[int] = []  # places of broken ones
 
     def __enter__(self) -> Self:
         """Prepare the proposer, then open the folder.
@@ -178,13 +185,12 @@ class Engine(Generic[P_co]):
         trace: TracebackType | None,
     ) -> None:
         """Write the table of the rows so far, even after an error."""
-        counted = {row.index for row in self.rows}
-        self.rows += [
-            row for index, row in sorted(self.book.rows.items())
-            if index not in counted and row.outcome is not Outcome.INTERRUPTED
-        ]
+        earlier = self.book.earlier.by_index
+        for index in sorted(earlier.keys() - self.summary.indices):
+            if earlier[index].outcome is not Outcome.INTERRUPTED:
+                self._count(earlier[index])
         runs = self.proposer.runs
-        self.book.complete = (runs is not None and len(self.book.rows) >= runs) or bool(
+        self.book.complete = (runs is not None and len(self.rows) >= runs) or bool(
             self.stopped and not self.interrupted and self.broken is None
         )
         self._opened.__exit__(kind, error, trace)
@@ -261,7 +267,7 @@ class Engine(Generic[P_co]):
         """The run just proposed; None if it has a row already, or its scene is rejected."""
         if (row := self._recorded.get(index)) is not None:
             self.proposer.replay(row)
-            self.rows.append(row)
+            self._count(row)
             self.proposer.take(row)
             return None
         try:
@@ -269,7 +275,7 @@ class Engine(Generic[P_co]):
         except Rejected as error:
             self._keep(rejected_row(self.options, index, str(error)))
             return None
-        self._broken[index] = False
+        self._started[index] = next(self._places)
         return self.book.begin_run(index, scenario)
 
     def _is_retried(self, request: RunRequest, result: RunResult) -> bool:
@@ -281,19 +287,24 @@ class Engine(Generic[P_co]):
     def _keep(self, row: RunRow) -> None:
         row = self.proposer.completed(row)
         row = dataclasses.replace(row, retries=row.retries + (row.index in self._retried))
-        self.rows.append(row)
+        self._count(row)
         self.proposer.take(row)
+        place = self._started.pop(row.index, -1)
         if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench was involved
-            self._watch_bench(row)
+            self._watch_bench(row, place)
         self.book.keep(row)
 
-    def _watch_bench(self, row: RunRow) -> None:
+    def _count(self, row: RunRow) -> None:
+        self.rows.append(row)
+        self.summary.take(row)
+
+    def _watch_bench(self, row: RunRow, place: int) -> None:
         """End the campaign if its bench is broken, or gives other runs than the graph."""
         if row.outcome is Outcome.INFRA_ERROR:
-            self._broken[row.index] = True
             # By start, not by end, so that it does not depend on the number of workers.
-            streaks = itertools.groupby(self._broken.values())
-            in_a_row = max(len(list(streak)) for broken, streak in streaks if broken)
+            insort(self._broken, place)
+            streaks = itertools.groupby(enumerate(self._broken), lambda each: each[1] - each[0])
+            in_a_row = max(len(list(streak)) for _, streak in streaks)
             if in_a_row >= self.proposer.patience:
                 self.stopped = f'{in_a_row} runs in a row were broken by the bench'
                 self.broken = row

@@ -28,7 +28,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.trials.record.row import RunRow
@@ -191,12 +191,23 @@ class ProgramRate:
         return words
 
 
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What rates need of a row, which has more."""
+
+    index: int
+    outcome: Outcome
+    left_runway: bool | None
+    from_program: bool
+    sampler: str
+
+
 Planned = int | range | None
 """Runs fixed before the first one: their number, or their indices; None for those there are."""
 
 
 def rate_of(
-    rows: Sequence[RunRow], hit: Callable[[RunRow], bool], planned: Planned = None
+    rows: Sequence[RunRow | Verdict], hit: Callable[[Any], bool], planned: Planned = None
 ) -> ProgramRate:
     """Rate of one kind of judged run under the program itself.
 
@@ -220,12 +231,14 @@ def rate_of(
     )
 
 
-def failure_rate(rows: Sequence[RunRow], planned: Planned = None) -> ProgramRate:
+def failure_rate(rows: Sequence[RunRow | Verdict], planned: Planned = None) -> ProgramRate:
     """Failure rate of the program; see :func:`rate_of`."""
     return rate_of(rows, lambda row: row.outcome is Outcome.FAIL, planned)
 
 
-def off_runway_rate(rows: Sequence[RunRow], planned: Planned = None) -> ProgramRate | None:
+def off_runway_rate(
+    rows: Sequence[RunRow | Verdict], planned: Planned = None
+) -> ProgramRate | None:
     """Off-runway rate; None if a run was stopped before it could be determined."""
     if any(row.outcome.judged and row.left_runway is None for row in rows):
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,21 +11,14 @@ from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.samplers.space import Branch
 from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.rates import count_outcomes, failure_rate, off_runway_rate
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.rates import failure_rate, off_runway_rate
 from taxinet_ros.trials.search import COVERAGE, Search
 from taxinet_ros.trials.stop import FAILURES
 from taxinet_ros.trials.summary import (
     ON_STANDING_GRAPH,
-    blind_words,
-    next_line,
-    off_runway_words,
     participants_words,
-    refused_words,
     rho_words,
     scene_words,
-    stopped_words,
-    table_line,
     workers_words,
 )
 
@@ -75,33 +67,32 @@ def search_summary(search: Engine[Search], resuming: str = '--resume') -> list[s
         search: a search that has ended.
         resuming: option that continues it.
     """
-    rows, campaign = search.rows, search.options
-    lines = [count_outcomes(rows) or 'no run ended']
-    lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
-    lines += [*blind_words(rows), *_worst_line(rows), *_odd_lines(search)]
-    lines.append(table_line(rows, campaign))
-    lines += next_line(rows, campaign)
+    found, campaign = search.summary, search.options
+    lines = [found.count_words() or 'no run ended']
+    lines += [*_rate_lines(search), *found.stopped_words(), *found.refused_words()]
+    lines += found.blind_words()
+    if (worst := found.worst) is not None:
+        lines.append(f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}')
+    lines += [*_odd_lines(search), found.table_line(campaign), *found.next_line(campaign)]
     why = 'interrupted' if search.interrupted else search.stopped
-    if why and len(rows) < search.options.runs:
+    if why and len(found) < search.options.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'
         lines.append(f'ended before its {search.options.runs} runs: {why}{how}')
-    elif any(row.outcome is Outcome.INFRA_ERROR for row in rows):
+    elif found.outcomes[Outcome.INFRA_ERROR]:
         lines.append(f'{resuming} tries the runs again that the bench broke')
     return lines
 
 
 def _rate_lines(search: Engine[Search]) -> list[str]:
-    rows, planned = search.rows, search.first_planned
-    judged = [row for row in rows if row.outcome.judged]
-    if not judged:
+    found, planned = search.summary, search.first_planned
+    if not found.judged:
         return []
-    failed, off = failure_rate(rows, planned), off_runway_rate(rows, planned)
-    speed = statistics.median(row.real_time_factor for row in judged)
-    failures = sum(row.outcome is Outcome.FAIL for row in judged)
-    made = f'{failures} of {len(judged)} judged runs failed'
+    verdicts, speed = found.verdicts, found.speed
+    failed, off = failure_rate(verdicts, planned), off_runway_rate(verdicts, planned)
+    made = f'{found.outcomes[Outcome.FAIL]} of {found.judged} judged runs failed'
     if failed.rate is None:
         return [
-            failed.why_not, f'{made}, {off_runway_words(judged)}, median {speed:.1f}x real time',
+            failed.why_not, f'{made}, {found.off_runway_words()}, median {speed:.1f}x real time',
         ]
     left = '' if off is None or off.rate is None else f', off the runway {off.rate.words()}'
     lines = [
@@ -114,14 +105,6 @@ def _rate_lines(search: Engine[Search]) -> list[str]:
         lines.append('it ended with a failure, so the share of failures is too high on average; '
                      'the interval holds all the same')
     return lines
-
-
-def _worst_line(rows: Sequence[RunRow]) -> list[str]:
-    judged = [row for row in rows if row.outcome.judged]
-    if not judged:
-        return []
-    worst = min(judged, key=lambda row: row.headline[::-1] if row.headline else ())
-    return [f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}']
 
 
 _COMBINATIONS = {1: 'cells', 2: 'pairs of cells', 3: 'triples of cells'}

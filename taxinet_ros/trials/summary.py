@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 import shlex
 import statistics
-from collections.abc import Sequence
+from array import array
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import PurePath
 from typing import Any
 
 from rich.text import Text
@@ -21,7 +24,14 @@ from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.registry import KMWH
 from taxinet_ros.trials.options import LOOP, CampaignOptions
-from taxinet_ros.trials.rates import Planned, ProgramRate, count_outcomes, failure_rate
+from taxinet_ros.trials.rates import (
+    Planned,
+    ProgramRate,
+    Verdict,
+    count_kinds,
+    count_words,
+    failure_rate,
+)
 from taxinet_ros.trials.record.row import RunRow
 
 _MOST_NAMED = 5
@@ -40,10 +50,180 @@ _STYLES = {
 }
 
 
-def campaign_heading(options: CampaignOptions) -> str:
-    """Heading that describes the campaign."""
+class Summary:
+    """What is said of a campaign's rows at its end. They are taken one by one, and not kept.
+
+    Attributes:
+        outcomes: number of rows by outcome.
+        worst: the judged row with the least robustness of the headline, if any.
+        first_rejected: why the first scene that was rejected was, or ''.
+        off_runway: number of runs that left the runway.
+    """
+
+    def __init__(self, rows: Iterable[RunRow] = ()) -> None:
+        """Take some rows."""
+        self.outcomes: Counter[Outcome] = Counter()
+        self.worst: RunRow | None = None
+        self.first_rejected = ''
+        self._kinds: Counter[str] = Counter()
+        self._indices = array('q')
+        self._verdicts: list[tuple[Outcome, bool | None, bool, str]] = []
+        self._same: dict[tuple[Outcome, bool | None, bool, str], Any] = {}
+        self._speeds = array('d')
+        self._folders: set[PurePath] = set()
+        self._free: list[Mapping[str, float]] = []
+        self._blind: list[int] = []
+        self._refused = self.off_runway = self._stopped = 0
+        self._stopped_on = False
+        self._whole_s = self._saved_s = 0.0
+        for row in rows:
+            self.take(row)
+
+    def take(self, row: RunRow) -> None:
+        """Take one row."""
+        self.outcomes[row.outcome] += 1
+        verdict = row.outcome, row.left_runway, row.from_program, row.sampler
+        self._indices.append(row.index)
+        self._verdicts.append(self._same.setdefault(verdict, verdict))  # not a new one for each
+        self._refused += row.refused
+        if row.kind:
+            self._kinds[row.kind] += 1
+        if row.bag:
+            self._folders.add(PurePath(row.bag).parent)
+        if 'loop_wall_median_s' in row.free:
+            self._free.append(row.free)
+        if row.outcome is Outcome.REJECTED:
+            self.first_rejected = self.first_rejected or row.detail
+        if row.outcome.judged:
+            self._take_judged(row)
+
+    def _take_judged(self, row: RunRow) -> None:
+        self._speeds.append(row.real_time_factor)
+        self.off_runway += bool(row.left_runway)
+        self._whole_s += row.duration_s or 0.0
+        if row.stopped_early:
+            self._stopped += 1
+            self._saved_s += (row.duration_s or 0.0) - row.sim_s
+            self._stopped_on |= not row.left_runway
+        if row.passed_blind:
+            self._blind.append(row.index)
+        if self.worst is None or _least(row) < _least(self.worst):
+            self.worst = row
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    @property
+    def judged(self) -> int:
+        """Number of judged rows."""
+        return len(self._speeds)
+
+    @property
+    def indices(self) -> Collection[int]:
+        """Indices of the rows."""
+        return set(self._indices)
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """What rates need of each row."""
+        return [
+            Verdict(index, *verdict)
+            for index, verdict in zip(self._indices, self._verdicts, strict=True)
+        ]
+
+    @property
+    def speed(self) -> float:
+        """Median real-time factor of the judged rows, of which there are some."""
+        return statistics.median(self._speeds)
+
+    def count_words(self) -> str:
+        """See :func:`.rates.count_outcomes`."""
+        counts = {outcome.value: self.outcomes[outcome] for outcome in Outcome}
+        return count_words(counts, count_kinds(self._kinds.elements()))
+
+    def blind_words(self) -> list[str]:
+        """Line on the runs that passed although the perception was blind, if any."""
+        blind = sorted(self._blind)
+        if not blind:
+            return []
+        more = ', …' if len(blind) > _MOST_NAMED else ''
+        named = ', '.join(map(str, blind[:_MOST_NAMED])) + more
+        return [
+            f'warning: {len(blind)} passed with more than {MOST_UNUSABLE_SHARE:.0%} of their '
+            f'frames without a usable estimate (run {named}); --spec usable fails them'
+        ]
+
+    def refused_words(self) -> list[str]:
+        """Lines on draws rejected by the requirements, and on impossible scenes."""
+        lines = []
+        if self._refused:
+            lines.append(f'{self._refused} draws refused by the requirements and replaced')
+        if rejected := self.outcomes[Outcome.REJECTED]:
+            lines.append(
+                f'{rejected} of {len(self)} scenes rejected; shares are among the judged runs; '
+                f'the first: {self.first_rejected}'
+            )
+        return lines
+
+    def free_words(self) -> list[str]:
+        """Line on free runs, if any."""
+        free = self._free
+        if not free:
+            return []
+        frames, unanswered, overruns = (
+            sum(one[name] for one in free) for name in ('frames', 'unanswered', 'overruns')
+        )
+        late = f'; {overruns:.0f} frames out late: not the pace asked for' if overruns else ''
+        median_s = statistics.median(one['loop_wall_median_s'] for one in free)
+        return [
+            f'free runs, which need not come out so again: {unanswered:.0f} of {frames:.0f} frames '
+            f'unanswered, loop {median_s:.3f} s by the clock, at most '
+            f'{max(one["loop_wall_max_s"] for one in free):.3f} s, '
+            f'{statistics.median(one.get("factor", math.nan) for one in free):.2f}x real time{late}'
+        ]
+
+    def off_runway_words(self) -> str:
+        """Number of runs that left the runway; unknown for runs stopped before."""
+        before = ' before they were stopped' if self._stopped_on else ''
+        return f'{self.off_runway} off the runway{before}'
+
+    def stopped_words(self) -> list[str]:
+        """Line on the runs stopped early and the time saved, if any."""
+        if not self._stopped:
+            return []
+        return [
+            f'{self._stopped} stopped early, which saved {self._saved_s:.0f} of '
+            f'{self._whole_s:.0f} s of simulated time ({self._saved_s / self._whole_s:.0%})'
+        ]
+
+    def table_line(self, options: CampaignOptions) -> str:
+        """Line with the paths of table and bags."""
+        folders = {options.out / folder for folder in self._folders}
+        if not options.standing_graph:
+            folders = {options.out}
+        bags = ', '.join(f'{folder}/<run>/' for folder in sorted(folders))
+        bags = bags or "where the graph's recorder writes them"
+        return f'table: {options.out / "runs.csv"}, runs.parquet; bags: {bags}'
+
+    def next_line(self, options: CampaignOptions) -> list[str]:
+        """Line with the command that is useful next: for failures the one that explains them."""
+        out = shlex.quote(str(options.out))
+        if options.standing_graph or not self.judged:
+            return []
+        if self.outcomes[Outcome.FAIL]:
+            return [f'next: taxinet why {out}']
+        return [f'next: taxinet gate {out} --min-satisfaction 0.95']
+
+
+def _least(row: RunRow) -> tuple[float, float, int]:
+    assert row.headline is not None
+    return row.headline.upper, row.headline.lower, row.index
+
+
+def campaign_heading(options: CampaignOptions, here: str = 'one process') -> str:
+    """Heading that describes the campaign; ``here`` is what one graph of it runs in."""
     runs = 'run' if options.runs == 1 else 'runs'
-    layout = 'separate processes' if options.processes else 'one process'
+    layout = 'separate processes' if options.processes else here
     layout = layout if options.workers == 1 else workers_words(options)
     graph = f'{participants_words(options)}, {layout}'
     return (
@@ -128,75 +308,47 @@ def _percent(value: float) -> str:
     return f'{value:.0f}' if value >= 1 else f'{value:.1g}'
 
 
-def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
-    """Line with the paths of table and bags."""
-    folders = {(options.out / row.bag).parent for row in rows if row.bag}
-    if not options.standing_graph:
-        folders = {options.out}
-    bags = ', '.join(f'{folder}/<run>/' for folder in sorted(folders))
-    bags = bags or "where the graph's recorder writes them"
-    return f'table: {options.out / "runs.csv"}, runs.parquet; bags: {bags}'
-
-
-def campaign_summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
-    """Summary: counts, rate with its interval, speed, and path of the table."""
-    lines = [count_outcomes(rows)]
-    speeds = [row.real_time_factor for row in rows if row.outcome.judged]
-    if speeds:
-        found = failure_rate(rows, options.runs)
-        speed = statistics.median(speeds)
-        lines.append(
-            f'{_satisfied_words(found)}, {off_runway_words(rows)}, median {speed:.1f}x real time'
-        )
-        lines += [*stopped_words(rows), *blind_words(rows)]
-    lines += free_words(rows)
-    lines += refused_words(rows)
-    lines += [table_line(rows, options), *next_line(rows, options)]
+def campaign_summary(found: Summary, options: CampaignOptions) -> str:
+    """Text of the summary: counts, rate with its interval, speed, and path of the table."""
+    lines = [found.count_words()]
+    if found.judged:
+        rate = _satisfied_words(failure_rate(found.verdicts, options.runs))
+        lines.append(f'{rate}, {found.off_runway_words()}, median {found.speed:.1f}x real time')
+        lines += [*found.stopped_words(), *found.blind_words()]
+    lines += [*found.free_words(), *found.refused_words()]
+    lines += [found.table_line(options), *found.next_line(options)]
     return '\n'.join(line for line in lines if line)
 
 
-def next_line(rows: Sequence[RunRow], options: CampaignOptions) -> list[str]:
-    """Line with the command that is useful next: for failures the one that explains them."""
-    out = shlex.quote(str(options.out))
-    if options.standing_graph or not any(row.outcome.judged for row in rows):
-        return []
-    if any(row.outcome is Outcome.FAIL for row in rows):
-        return [f'next: taxinet why {out}']
-    return [f'next: taxinet gate {out} --min-satisfaction 0.95']
-
-
-def summary_json(
-    rows: Sequence[RunRow], options: CampaignOptions, planned: Planned
-) -> dict[str, Any]:
+def summary_json(found: Summary, options: CampaignOptions, planned: Planned) -> dict[str, Any]:
     """The summary as plain values for JSON.
 
     Args:
-        rows: the runs.
+        found: the summary.
         options: of the campaign.
         planned: see :func:`~taxinet_ros.trials.rates.failure_rate`.
     """
-    found = failure_rate(rows, planned)
-    least = [(row.headline.upper, row.headline.lower, row.run_id, row.outcome.value)
-             for row in rows if row.headline is not None and row.outcome.judged]
+    failed, row = failure_rate(found.verdicts, planned), found.worst
     rate, worst = None, None
-    if least:
-        upper, lower, run_id, outcome = min(least)
-        worst = {'run_id': run_id, 'outcome': outcome, 'rho': [_finite(lower), _finite(upper)]}
-    if found.rate is not None:
-        value, low, high = found.rate.other
+    if row is not None and row.headline is not None:
+        worst = {
+            'run_id': row.run_id, 'outcome': row.outcome.value,
+            'rho': [_finite(end) for end in row.headline],
+        }
+    if failed.rate is not None:
+        value, low, high = failed.rate.other
         rate = {
             'value': value, 'low': low, 'high': high, 'confidence': 0.95,
-            'anytime': found.anytime,
+            'anytime': failed.anytime,
         }
     return {
         'program': options.program, 'seed': options.seed, 'perception': options.perception,
-        'controller': options.controller, 'runs': len(rows),
+        'controller': options.controller, 'runs': len(found),
         'outcomes': {
-            outcome.value: number for outcome in Outcome
-            if (number := sum(row.outcome is outcome for row in rows))
+            outcome.value: number for outcome in Outcome if (number := found.outcomes[outcome])
         },
-        'off_runway': sum(bool(row.left_runway) for row in rows),
-        'satisfied': rate, 'why_no_rate': found.why_not or None,
+        'off_runway': found.off_runway,
+        'satisfied': rate, 'why_no_rate': failed.why_not or None,
         'worst': worst, 'out': str(options.out),
     }
 
@@ -211,67 +363,3 @@ def _satisfied_words(failed: ProgramRate) -> str:
     value, low, high = failed.rate.other
     when = ' that holds wherever a campaign stops' if failed.anytime else ''
     return f'satisfied {value:.0%} (95 % interval{when} {low:.0%}-{high:.0%})'
-
-
-def blind_words(rows: Sequence[RunRow]) -> list[str]:
-    """Line on the runs that passed although the perception was blind, if any."""
-    blind = [row.index for row in rows if row.passed_blind]
-    if not blind:
-        return []
-    named = ', '.join(map(str, blind[:_MOST_NAMED])) + (', …' if len(blind) > _MOST_NAMED else '')
-    return [
-        f'warning: {len(blind)} passed with more than {MOST_UNUSABLE_SHARE:.0%} of their frames '
-        f'without a usable estimate (run {named}); --spec usable fails them'
-    ]
-
-
-def refused_words(rows: Sequence[RunRow]) -> list[str]:
-    """Lines on draws rejected by the requirements, and on impossible scenes."""
-    rejected = [row for row in rows if row.outcome is Outcome.REJECTED]
-    refused = sum(row.refused for row in rows)
-    lines = []
-    if refused:
-        lines.append(f'{refused} draws refused by the requirements and replaced')
-    if rejected:
-        lines.append(
-            f'{len(rejected)} of {len(rows)} scenes rejected; shares are among the judged runs; '
-            f'the first: {rejected[0].detail}'
-        )
-    return lines
-
-
-def free_words(rows: Sequence[RunRow]) -> list[str]:
-    """Line on free runs, if any."""
-    free = [row.free for row in rows if row.free and 'loop_wall_median_s' in row.free]
-    if not free:
-        return []
-    frames, unanswered, overruns = (
-        sum(one[name] for one in free) for name in ('frames', 'unanswered', 'overruns')
-    )
-    late = f'; {overruns:.0f} frames out late: not the pace asked for' if overruns else ''
-    return [
-        f'free runs, which need not come out so again: {unanswered:.0f} of {frames:.0f} frames '
-        f'unanswered, loop {statistics.median(one["loop_wall_median_s"] for one in free):.3f} s by '
-        f'the clock, at most {max(one["loop_wall_max_s"] for one in free):.3f} s, '
-        f'{statistics.median(one.get("factor", math.nan) for one in free):.2f}x real time{late}'
-    ]
-
-
-def off_runway_words(rows: Sequence[RunRow]) -> str:
-    """Number of runs that left the runway; unknown for runs stopped before."""
-    off = sum(bool(row.left_runway) for row in rows)
-    stopped = any(row.stopped_early and not row.left_runway for row in rows)
-    return f'{off} off the runway{" before they were stopped" if stopped else ""}'
-
-
-def stopped_words(rows: Sequence[RunRow]) -> list[str]:
-    """Line on the runs stopped early and the time saved, if any."""
-    stopped = [row for row in rows if row.stopped_early]
-    if not stopped:
-        return []
-    whole_s = sum(row.duration_s or 0.0 for row in rows if row.outcome.judged)
-    saved_s = sum((row.duration_s or 0.0) - row.sim_s for row in stopped)
-    return [
-        f'{len(stopped)} stopped early, which saved {saved_s:.0f} of {whole_s:.0f} s of simulated '
-        f'time ({saved_s / whole_s:.0%})'
-    ]

@@ -231,6 +231,38 @@ def test_a_journal_of_an_earlier_state_is_refused_and_undoes_nothing(tmp_path: P
     assert len(read_record(path)['row']) == 43
 
 
+def test_what_a_journal_has_behind_its_own_pages_is_of_no_account(tmp_path: Path) -> None:
+    """One journal serves all changes, so that of a short one ends with pages of a longer one."""
+    path = make(tmp_path / 'campaign.db')
+    header, first = bytes.fromhex('d9d505f920a163d7'), bytearray(path.read_bytes()[:4096])
+    first[24:28] = bytes(4)  # changed 0 times
+    behind = (1).to_bytes(4) + bytes(first) + bytes(4)
+    for pages in (1, 0):
+        sizes = [pages, 0, len(path.read_bytes()) // 4096, 512, 4096]
+        start = header + b''.join(size.to_bytes(4) for size in sizes)
+        Path(f'{path}-journal').write_bytes(start.ljust(512, b'\0') + behind)
+        if pages:
+            with pytest.raises(UsageError, match='-journal: is of an earlier state'):
+                read_record(path)
+        else:
+            assert read_record(path)['row'] == ROWS
+
+
+def test_one_journal_serves_all_changes_and_is_removed_at_the_end(tmp_path: Path) -> None:
+    path = tmp_path / 'campaign.db'
+    journal = Path(f'{path}-journal')
+    with Record(path) as record:
+        record.put('facts', '', FACTS)
+        one = journal.stat().st_ino
+        for key, row in ROWS.items():
+            record.put('row', key, row)
+            assert journal.stat().st_ino == one
+        left = journal.read_bytes()
+    assert not journal.exists()
+    journal.write_bytes(left)  # as a killed command leaves it
+    assert read_record(path) == {'facts': {'': FACTS}, 'row': ROWS}
+
+
 def test_a_change_by_another_program_is_noticed_at_the_next_entry(tmp_path: Path) -> None:
     path = make(tmp_path / 'campaign.db')
     with Record(path) as record:

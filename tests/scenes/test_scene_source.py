@@ -27,6 +27,7 @@ from taxinet_ros.scenes.source import Rejected, SceneSource, sample_scenarios
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.book import rejected_row
+from taxinet_ros.trials.summary import Summary
 
 PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
 
@@ -409,7 +410,7 @@ def test_s5_attack_given_no_run_could_be_judged_then_the_first_reason_is_said(
     )
     rows = [rejected_row(options, index, f'scene {index}: beside the runway') for index in (0, 1)]
     with pytest.raises(UsageError, match='was rejected; the first: scene 0: beside the runway'):
-        exit_code(rows)
+        exit_code(Summary(rows))
 
 
 _LOW = 'camera_dz_m: the camera low.yaml has an offset of its own; leave one out'

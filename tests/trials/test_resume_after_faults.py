@@ -63,11 +63,11 @@ def test_f1_given_a_bench_that_broke_when_resumed_then_the_table_is_that_of_an_u
     undisturbed = toy.finish(toy.options(whole, sampler=sampler))
     broken = toy.finish(toy.options(out, sampler=sampler), workers, toy.last, break_all(6))
     assert 'runs in a row were broken by the bench' in broken.stopped
-    assert exit_code(broken.rows) == 4
+    assert exit_code(broken.summary) == 4
     resumed = toy.finish(toy.options(out, sampler=sampler, resume=True), workers, toy.last)
     assert resumed.stopped == ''
     same_but_for_tries(whole, out)
-    assert exit_code(resumed.rows) == exit_code(undisturbed.rows)
+    assert exit_code(resumed.summary) == exit_code(undisturbed.summary)
     tried = {row.index for row in broken.rows if row.outcome is Outcome.INFRA_ERROR}
     assert len(tried) >= PATIENCE
     assert {row.index for row in resumed.rows if row.retries} == tried
@@ -112,7 +112,7 @@ def test_f1_given_broken_runs_among_sound_ones_when_the_bench_is_still_broken_th
 
     again = toy.finish(toy.options(out, sampler='random', resume=True), judge=judge)
     assert len(set(tried)) == PATIENCE
-    assert exit_code(again.rows) == 4
+    assert exit_code(again.summary) == 4
     assert len(again.rows) == 20
     after = read_table(out)
     assert list(after['outcome']) == list(before['outcome'])

@@ -213,8 +213,8 @@ def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule,
     search = toy.finish(chosen)
     assert 3 <= len(search.rows) < runs
     assert search.stopped == f'{rule} reached'
-    assert toy.is_met(chosen.stop, search.rows[:1 - LAG])
-    assert not toy.is_met(chosen.stop, search.rows[:-LAG])
+    assert toy.is_met(chosen.stop, list(search.rows)[:1 - LAG])
+    assert not toy.is_met(chosen.stop, list(search.rows)[:-LAG])
     again = toy.finish(
         toy.options(tmp_path / 'c', runs=runs, sampler='random', stop=chosen.stop, resume=True)
     )

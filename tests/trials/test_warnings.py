@@ -20,7 +20,7 @@ from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.summary import (
-    blind_words,
+    Summary,
     campaign_summary,
     requirement_lines,
     row_line,
@@ -128,12 +128,12 @@ def test_ros10_given_a_run_that_passed_blind_then_its_line_and_the_summary_say_s
     assert 'unusable' not in row_line(seeing).plain
     assert blind.passed_blind
     assert not seeing.passed_blind
-    assert blind_words([seeing]) == []
+    assert Summary([seeing]).blind_words() == []
     line = (
         'warning: 1 passed with more than 5% of their frames without a usable estimate (run 3); '
         '--spec usable fails them'
     )
-    assert line in campaign_summary([blind, seeing], campaign).splitlines()
+    assert line in campaign_summary(Summary([blind, seeing]), campaign).splitlines()
     failed = dataclasses.replace(blind, outcome=Outcome.FAIL)
     assert not failed.passed_blind
     assert '251 of 301 estimates unusable' in row_line(failed).plain

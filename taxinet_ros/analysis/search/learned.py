@@ -62,9 +62,8 @@ def write_learned(search: Engine[Search]) -> list[str]:
 
 def _nothing_learned(search: Engine[Search], probabilities: Probabilities) -> str:
     """Reason why there is nothing to write; empty if there is something."""
-    failures = sum(row.outcome is Outcome.FAIL for row in search.rows)
-    judged = sum(row.outcome.judged for row in search.rows)
-    if not failures:
+    judged = search.summary.judged
+    if not search.summary.outcomes[Outcome.FAIL]:
         return f'none of {judged} judged runs failed'
     searched = search.proposer.space.searched
     priors = {choice.dimension.name: choice.dimension.prior for choice in searched}

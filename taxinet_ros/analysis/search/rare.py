@@ -82,7 +82,7 @@ def _finite(value: float) -> float | None:
 
 
 def _without_result(search: Engine[Search]) -> int:
-    return sum(row.outcome is Outcome.INFRA_ERROR for row in search.rows)
+    return search.summary.outcomes[Outcome.INFRA_ERROR]
 
 
 def write_estimate(found: RareEstimate, search: Engine[Search]) -> tuple[Path, Path | None]:

@@ -72,7 +72,8 @@ def run_campaign(
         from taxinet_ros.nodes.graph.foxglove_view import check_port
 
         check_port(foxglove)
-    return exit_code(campaign_rows(options, foxglove, quiet=quiet, as_json=as_json))
+    engine = make_campaign(options, foxglove, quiet=quiet, as_json=as_json)
+    return exit_code(engine.summary)
 
 
 def with_run_workers(
@@ -114,11 +115,11 @@ def with_run_workers(
     return dataclasses.replace(options, workers=workers)
 
 
-def campaign_rows(
+def make_campaign(
     options: CampaignOptions, foxglove: int | None = None, *, quiet: bool = False,
     as_json: bool = False,
-) -> list[RunRow]:
-    """Run and print a campaign; return the rows of its table, by the numbers of their runs.
+) -> Engine[ProgramOrder]:
+    """Run and print a campaign.
 
     Raises:
         KeyboardInterrupt: interrupted with runs left.
@@ -136,7 +137,9 @@ def campaign_rows(
         scenes = ProgramOrder(options, here.make_ahead if here else lambda: None)
         engine = Engine(scenes, PARTICIPANTS, show)
         with (
-            print_rows_if_lost(progress.console, engine.rows, shown=not quiet),
+            print_rows_if_lost(
+                progress.console, engine.summary, engine.rows.latest if quiet else (),
+            ),
             here or contextlib.nullcontext(), engine,
         ):
             if here:
@@ -144,6 +147,7 @@ def campaign_rows(
             if not quiet:
                 lines = [campaign_heading(options), *scenes.notes]
                 if here is None and options.workers == 1:
+                    lines[0] = campaign_heading(options, 'one worker process')
                     lines.append(f'your functions print to {options.out}/logs/worker-1.log')
                 progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             live = [] if foxglove is None else [f'live at ws://127.0.0.1:{foxglove}']
@@ -153,13 +157,13 @@ def campaign_rows(
                 _run_here(engine, here, foxglove)
             else:
                 run_on_workers(engine)
-    rows = sorted(engine.rows, key=lambda row: row.index)
-    console.print(campaign_summary(rows, options), soft_wrap=True)
+    found = engine.summary
+    console.print(campaign_summary(found, options), soft_wrap=True)
     if as_json:
-        print(json.dumps(summary_json(rows, options, options.runs), allow_nan=False))
-    if engine.interrupted and len(rows) < options.runs:
-        raise ToldInterrupt if rows else KeyboardInterrupt
-    return rows
+        print(json.dumps(summary_json(found, options, options.runs), allow_nan=False))
+    if engine.interrupted and len(found) < options.runs:
+        raise ToldInterrupt if found else KeyboardInterrupt
+    return engine
 
 
 def _runs_elsewhere(options: CampaignOptions, foxglove: int | None) -> bool:

@@ -25,7 +25,7 @@ def demo(out: OutOption = None, runs: RunsOption = 10, seed: SeedOption = 1) -> 
     # Violations by a network are expected, those with ground truth are failures of the demo.
     from taxinet_ros.analysis.camera.sheets import contact_sheet
     from taxinet_ros.analysis.one_run.trajectories import plot_trajectories
-    from taxinet_ros.cli.run.campaign import campaign_rows
+    from taxinet_ros.cli.run.campaign import make_campaign
     from taxinet_ros.trials.campaign import exit_code
     from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_options, new_folder
 
@@ -37,10 +37,11 @@ def demo(out: OutOption = None, runs: RunsOption = 10, seed: SeedOption = 1) -> 
         options = make_options(
             program=PROGRAM, runs=runs, seed=seed, perception=perception, out=out / perception
         )
-        rows = campaign_rows(options)
-        codes[perception] = exit_code(rows)
+        engine = make_campaign(options)
+        codes[perception] = exit_code(engine.summary)
         if codes[perception] > 1:
             return codes[perception]
+        rows = sorted(engine.rows, key=lambda row: row.index)
         columns += trajectories(rows, options)
         if perception == PERCEPTIONS[0]:
             sheet = out / 'frames.png'

@@ -64,6 +64,7 @@ from taxinet_ros.trials.shrink.report import (
 )
 from taxinet_ros.trials.shrink.shrinking import Shrinking
 from taxinet_ros.trials.summary import (
+    Summary,
     requirement_lines,
     row_line,
     scene_words,
@@ -98,23 +99,21 @@ class _Figures(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """Render the current figures."""
-        rows = list(self._search.rows)
-        task.completed = len(rows)
-        failed = sum(row.outcome is Outcome.FAIL for row in rows)
-        least = min(
-            (row.headline.upper for row in rows if row.headline), default=math.nan
-        )
+        seen = self._search.summary
+        task.completed = len(seen)
+        worst = seen.worst
+        least = math.nan if worst is None or worst.headline is None else worst.headline.upper
         minutes = (time.monotonic() - self._began) / 60
-        pace = (len(rows) - self._before) / max(minutes, 1e-3)
-        words = [f'{failed} failed', f'{pace:.1f}/min']
+        pace = (len(seen) - self._before) / max(minutes, 1e-3)
+        words = [f'{seen.outcomes[Outcome.FAIL]} failed', f'{pace:.1f}/min']
         if pace > 0:
-            left = self._search.options.runs - len(rows)
+            left = self._search.options.runs - len(seen)
             words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
-        if rows:
+        if seen:
             words.append(f'lowest rho {least:+.2f}')
         # A viewer may stop at any time: use the interval that is valid at every look.
         planned = self._search.first_planned or range(0)
-        found = failure_rate(rows, range(planned.start, 0, planned.step)).rate
+        found = failure_rate(seen.verdicts, range(planned.start, 0, planned.step)).rate
         if found is not None:
             words.append(f'failing {found.words()}')
         if self._search.interrupted:
@@ -155,11 +154,11 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if as_json:
-        values = summary_json(search.rows, asked.campaign, planned)
+        values = summary_json(search.summary, asked.campaign, planned)
         print(json.dumps({**values, 'sampler': asked.sampler}, allow_nan=False))
     if search.interrupted and len(search.rows) < search.options.runs:
         return ExitCode.INTERRUPTED
-    return exit_code(search.rows)
+    return exit_code(search.summary)
 
 
 @contextlib.contextmanager
@@ -170,7 +169,8 @@ def open_search(
     shown = not (quiet or console.is_terminal)
     show = partial(_print_row, console=console, quiet=quiet)
     search = Engine(asked, PARTICIPANTS, show)
-    with print_rows_if_lost(console, search.rows, shown=shown), search:
+    lost = print_rows_if_lost(console, search.summary, () if shown else search.rows.latest)
+    with lost, search:
         yield search
 
 
@@ -227,7 +227,7 @@ def run_experiment(
     rows = arm_rows(experiment, out)
     check_paired(experiment, rows)
     known = [row for arm in rows.values() for row in arm]
-    with print_rows_if_lost(console, known, shown=True):
+    with print_rows_if_lost(console, Summary(known)):
         _report(experiment, rows, out, console, as_json=as_json)
     broken = any(row.outcome is Outcome.INFRA_ERROR for row in known)
     return ExitCode.INFRA if broken else ExitCode.OK
@@ -298,7 +298,8 @@ def run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
         shown = not (quiet or console.is_terminal)
         with (
             _open_cluster(engine.options, console) as cluster,
-            print_rows_if_lost(console, engine.rows, shown=shown), engine,
+            print_rows_if_lost(console, engine.summary, () if shown else engine.rows.latest),
+            engine,
         ):
             if engine.book.warning:
                 console.print(engine.book.warning, soft_wrap=True, markup=False)
@@ -308,7 +309,7 @@ def run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
     found = make_report(shrinking)
     _check_bench(engine)
     _check_reproduced(shrinking, found)
-    with print_rows_if_lost(console, engine.rows, shown=True):
+    with print_rows_if_lost(console, engine.summary):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
     return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 

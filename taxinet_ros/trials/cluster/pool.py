@@ -264,20 +264,23 @@ class ClusterPool:
         try:
             yield self
         finally:
-            self._end_runs()
+            self._cancel()
+            self._wait_for_children()
             if bags is not None:
                 _clear(bags)
 
-    def _end_runs(self) -> None:
-        """Give up what is not finished, and wait until children have ended."""
+    def _cancel(self) -> None:
+        with contextlib.suppress(Exception):  # of a lost cluster
+            self._client.cancel(list(self._runs))
+        self._runs.clear()
+
+    def _wait_for_children(self) -> None:
         from taxinet_ros.trials.cluster.task import end_runs
 
         with contextlib.suppress(Exception):  # of a lost cluster, or a silent worker
-            self._client.cancel(list(self._runs))
             self._client.run(
                 end_runs, self._job.campaign, on_error='ignore', callback_timeout=_END_S
             )
-        self._runs.clear()
 
     @property
     def busy(self) -> int:
@@ -321,7 +324,7 @@ class ClusterPool:
     def interrupt(self) -> None:
         """Give up all runs in flight, which are made after a resume."""
         self.interrupted = True
-        self._end_runs()
+        self._cancel()
 
     # Workers -----------------------------------------------------------------------------------
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-from collections import ChainMap, Counter
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, Self
 
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.documents import NamedDocument
@@ -32,7 +32,9 @@ from taxinet_ros.trials.record.content import (
     AS_TEXT,
     DOCUMENT,
     END,
+    REQUIREMENT,
     CampaignContent,
+    StoredRows,
     campaign_content,
     run_key,
 )
@@ -137,7 +139,6 @@ class CampaignBook:
         options: options of the campaign.
         facts: facts of the campaign, from :meth:`begin` on.
         earlier: what the record contained when it was opened; only within the ``with``.
-        rows: the latest row of each run by index, as in the table, including earlier sessions.
         warning: one line if these were made on another machine or version, or ''.
         complete: whether it ended as it was asked to, with all its runs or by a rule, so that
             nothing of a repaired record is missing any more; set by its owner.
@@ -157,7 +158,6 @@ class CampaignBook:
         """
         self.facts: dict[str, Any] = {}
         self.earlier = CampaignContent()
-        self.rows: MutableMapping[int, RunRow] = {}
         self.warning = ''
         self.complete = False
         self.options = options
@@ -220,7 +220,11 @@ class CampaignBook:
                 if error is None:
                     self._end()
                 self._record.check_in_place()
-                write_tables(self.rows.values(), self._out, self.facts)
+                added = self._record.entries.get(REQUIREMENT, {})
+                write_tables(StoredRows(
+                    self._record.path, map(int, self._record.keys(ROW)),
+                    {name: values['intervals'] for name, values in added.items()},
+                ), self._out, self.facts)
         except RecordError:
             if not isinstance(error, RecordError):  # else report the first error
                 raise
@@ -231,15 +235,17 @@ class CampaignBook:
         """Record that the campaign ended in good order, and what a repaired record had lost."""
         self._write_due_facts()
         self._record.put_all([
-            *self._lost_documents(), (END, '', len(self.rows)), (SPARE, FACTS, self.facts),
+            *self._lost_documents(), (END, '', len(self._record.keys(ROW))),
+            (SPARE, FACTS, self.facts),
         ])
         if self.complete:
             repaired(self._record)
 
     def _lost_documents(self) -> Iterator[tuple[str, str, Any]]:
-        """Entries of documents that rows refer to and the record lacks, if they are known."""
-        for key, catalogue in CATALOGUES.items():
-            for word in {getattr(row, key) for row in self.rows.values()} - {''}:
+        """Entries of documents that earlier rows refer to and the record lacks, if known."""
+        words = zip(*set(self.earlier.values(*CATALOGUES)), strict=True)
+        for (key, catalogue), used in zip(CATALOGUES.items(), words, strict=False):
+            for word in {*used} - {''}:
                 try:
                     found = catalogue.find(word)
                 except UsageError:
@@ -258,8 +264,6 @@ class CampaignBook:
         """
         before = self.earlier
         self.facts = {**facts, STACKS: {**recorded_stacks(before.facts), **facts[STACKS]}}
-        # Earlier rows are made when asked for; nothing is written to the second mapping.
-        self.rows = ChainMap({}, cast('dict[int, RunRow]', before.by_index))
         self._attempts.update(before.attempts)
         self._documents.update(before.documents)
         if before.rows:
@@ -312,10 +316,10 @@ class CampaignBook:
         """Record the result of a run.
 
         Raises:
-            RecordError: it cannot be written; ``rows`` contains it nevertheless.
+            RecordError: it cannot be written.
         """
         row.check()
-        self.rows[row.index] = row
+        self._attempts.pop(row.index, None)
         try:
             self._write_due_facts()
             with self._watched():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,10 +10,10 @@ from typing import Any
 
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME, Entries, read_record
+from taxinet_ros.files.record import RECORD_NAME, Entries, read_record, read_texts
 from taxinet_ros.trials.record.facts import BEGUN, FACTS, ROW, SPARE
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.record.rows import FEW, RecordedRows, RowsByIndex, values_of
+from taxinet_ros.trials.record.rows import Intervals, RecordedRows, RowsByIndex, values_of
 
 REQUIREMENT, DOCUMENT, END = 'requirement', 'document', 'end'
 """Kinds of entries: a formula evaluated afterwards, a document that is not shipped, and that the
@@ -20,6 +21,10 @@ campaign ended in good order after the last result."""
 
 AS_TEXT = frozenset({BEGUN, ROW})
 """Kinds of which there is one a run, and that are read later (:mod:`.rows`)."""
+
+FEW = 1000
+"""Number of rows up to which all are made at once, so that what is wrong is named at once, and of
+rows of an open campaign that are in memory at once."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -117,3 +122,49 @@ def campaign_content(path: Path, entries: Entries) -> CampaignContent:
 def run_key(index: int) -> str:
     """Key of a run's entries; as text, keys are in the order of the indices."""
     return f'{index:09d}'
+
+
+class StoredRows:
+    """The rows of an open campaign in the order of their ends, most of them in its record only.
+
+    Attributes:
+        latest: the last thousand or so, as the record may be lost.
+    """
+
+    def __init__(self, path: Path, indices: Iterable[int], added: Intervals) -> None:
+        """Nothing is read yet.
+
+        Args:
+            path: path of the record.
+            indices: those of rows that it has.
+            added: see :data:`Intervals`.
+        """
+        self.latest: list[RunRow] = []
+        self._path, self._added = path, added
+        self._indices = array('q', indices)
+
+    def append(self, row: RunRow) -> None:
+        """Add a row, which is in the record before a thousand others are added."""
+        self._indices.append(row.index)
+        self.latest.append(row)
+        if len(self.latest) > 2 * FEW:
+            del self.latest[:FEW]
+
+    def parts(self) -> Iterator[Sequence[RunRow]]:
+        """The rows in parts, of which one at a time is in memory."""
+        older, latest = len(self) - len(self.latest), self.latest[:]
+        for at in range(0, older, FEW):
+            yield self._read(self._indices[at:min(at + FEW, older)])
+        if latest:
+            yield latest
+
+    def __iter__(self) -> Iterator[RunRow]:
+        for part in self.parts():
+            yield from part
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def _read(self, indices: Iterable[int]) -> RecordedRows:
+        texts = read_texts(self._path, ROW, map(run_key, indices))
+        return RecordedRows(self._path, texts, self._added)

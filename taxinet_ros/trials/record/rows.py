@@ -30,9 +30,6 @@ from taxinet_ros.trials.record.row import DEFAULTS, NEEDED, RunRow
 if TYPE_CHECKING:  # slow import that should not delay a run
     import pyarrow as pa
 
-FEW = 1000
-"""Number of rows up to which all are made at once, so that what is wrong is named at once."""
-
 _AT_ONCE = 5000
 """Rows that are read together as columns; limits memory."""
 
@@ -98,8 +95,8 @@ class RecordedRows(Sequence[RunRow]):
     def columns(self) -> pa.Table | None:
         """Columns as in :mod:`.columns`, but for known robustness, which intervals contain.
 
-        Where an entry leaves out a value, it is null. None if the rows are few, or have something
-        that only :class:`RunRow` reads or refuses.
+        Where an entry leaves out a value, it is null. None if the rows have something that only
+        :class:`RunRow` reads or refuses.
         """
         import pyarrow as pa
 
@@ -119,8 +116,6 @@ class RecordedRows(Sequence[RunRow]):
         return self.columns if 'columns' in self.__dict__ else self._read(names, rest='ignore')
 
     def _read(self, names: Sequence[str], rest: str) -> pa.Table | None:
-        if len(self) <= FEW:
-            return None
         import pyarrow as pa
 
         try:

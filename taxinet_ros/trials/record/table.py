@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import filterfalse, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upp
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import write_atomically, write_parquet
+from taxinet_ros.files.atomic import make_atomically, write_parquet
 from taxinet_ros.trials.record.columns import (
     ATTRIBUTES,
     FREE,
@@ -25,7 +25,7 @@ from taxinet_ros.trials.record.columns import (
     rho_column,
     specs_of,
 )
-from taxinet_ros.trials.record.content import CampaignContent, read_campaign
+from taxinet_ros.trials.record.content import CampaignContent, StoredRows, read_campaign
 from taxinet_ros.trials.record.facts import STACKS, is_campaign, recorded_stacks
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.rows import RecordedRows, with_defaults
@@ -40,7 +40,9 @@ PARQUET_NAME = 'runs.parquet'
 _FORMULA_STARTS = ('=', '+', '-', '@', '\t', '\r')
 
 
-def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
+def table(
+    rows: Iterable[RunRow], specs: Sequence[str] = (), known: Sequence[str] | None = None
+) -> pd.DataFrame:
     """Table with one row per run, by index.
 
     Args:
@@ -49,22 +51,23 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
             run was stopped before it was known, and ``rho`` repeats the first;
             ``rho_lower.<name>`` and ``rho_upper.<name>`` are the ends of its interval, equal if it
             is known. Further formulas of the rows follow.
+        known: columns that any row has, if these rows are a part of them.
 
     There is one column ``u_<dimension>`` for each dimension of any row's point, and one column
     ``free_<name>`` for each figure of free runs.
     """
     import pandas as pd
 
-    columns = rows.columns if isinstance(rows, RecordedRows) else None
-    found = _values_of_rows(rows) if columns is None else columns
-    known = list(found if isinstance(found, dict) else found.column_names)
+    found = _found(rows)
+    here = _names(found)
+    known = here if known is None else known
     names = list(dict.fromkeys([*specs, *specs_with_interval(known)]))
     kinds = column_types(names, *(
         [name.removeprefix(start) for name in known if name.startswith(start)]
         for start in (POINT, FREE)
     ))
     frame = {
-        name: _series(found, name, kind) for name, kind in kinds.items() if name in known
+        name: _series(found, name, kind) for name, kind in kinds.items() if name in here
     }
     for name in names:
         lower, upper = (frame.get(column(name)) for column in (lower_column, upper_column))
@@ -77,6 +80,15 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
         name: frame[name] if name in frame else pd.Series(nothing, dtype=kind)
         for name, kind in kinds.items()
     })
+
+
+def _found(rows: Iterable[RunRow]) -> dict[str, list[Any]] | pa.Table:
+    columns = rows.columns if isinstance(rows, RecordedRows) else None
+    return _values_of_rows(rows) if columns is None else columns
+
+
+def _names(found: dict[str, list[Any]] | pa.Table) -> list[str]:
+    return list(found if isinstance(found, dict) else found.column_names)
 
 
 def _values_of_rows(rows: Iterable[RunRow]) -> dict[str, list[Any]]:
@@ -111,17 +123,24 @@ def _series(found: dict[str, list[Any]] | pa.Table, name: str, kind: str) -> pd.
 
 def campaign_table(content: CampaignContent) -> pd.DataFrame:
     """Table of a campaign, with its records of machines, libraries and code in ``attrs``."""
-    return _campaign_table(content.rows, content.facts)
-
-
-def _campaign_table(rows: Iterable[RunRow], facts: Mapping[str, Any]) -> pd.DataFrame:
-    frame = table(rows, tuple(facts.get('specs', {})))
-    frame.attrs[STACKS] = recorded_stacks(facts)
+    frame, = _frames([content.rows], content.facts)
     return frame
 
 
-def write_tables(rows: Iterable[RunRow], folder: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``runs.csv`` and ``runs.parquet`` atomically.
+def _frames(
+    parts: Iterable[Iterable[RunRow]], facts: Mapping[str, Any], known: Sequence[str] | None = None
+) -> Iterator[pd.DataFrame]:
+    """Tables of parts of a campaign, with the columns that any part has, if these are known."""
+    for rows in parts:
+        frame = table(rows, tuple(facts.get('specs', {})), known)
+        frame.attrs[STACKS] = recorded_stacks(facts)
+        yield frame
+
+
+def write_tables(
+    rows: Iterable[RunRow], folder: Path, facts: Mapping[str, Any]
+) -> None:
+    """Write ``runs.csv`` and ``runs.parquet`` atomically; of stored rows in parts, to save memory.
 
     The Parquet file contains the campaign's records of machine, libraries and code in
     ``attrs['stacks']``; the column ``stack`` refers to them.
@@ -131,16 +150,25 @@ def write_tables(rows: Iterable[RunRow], folder: Path, facts: Mapping[str, Any])
         folder: existing folder of the campaign.
         facts: its facts.
     """
-    frame = _campaign_table(rows, facts)
-    write_atomically(folder / CSV_NAME, csv_text(frame))
-    write_parquet(folder / PARQUET_NAME, frame)
+    def parts() -> Iterable[Iterable[RunRow]]:
+        return rows.parts() if isinstance(rows, StoredRows) and rows else [rows]
+
+    known = list(dict.fromkeys(name for part in parts() for name in _names(_found(part))))
+
+    def write_csv(draft: Path) -> None:
+        with draft.open('w', encoding='utf-8', newline='') as file:
+            for number, frame in enumerate(_frames(parts(), facts, known)):
+                file.write(csv_text(frame, header=number == 0))
+
+    make_atomically(folder / CSV_NAME, write_csv)
+    write_parquet(folder / PARQUET_NAME, _frames(parts(), facts, known))
 
 
-def csv_text(frame: pd.DataFrame) -> str:
+def csv_text(frame: pd.DataFrame, *, header: bool = True) -> str:
     """Text of ``runs.csv`` of a table, safe against formula injection in spreadsheets."""
     return frame.apply(
         lambda column: column.map(_spreadsheet_safe) if column.dtype == 'string' else column
-    ).to_csv(index=False)
+    ).to_csv(index=False, header=header)
 
 
 def read_table(path: Path) -> pd.DataFrame:

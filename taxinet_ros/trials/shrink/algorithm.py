@@ -57,12 +57,10 @@ class State:
 
     Attributes:
         at: the nearest known failing point; the start if even that passes.
-        asked: number of answers used.
         end: why it ended.
     """
 
     at: Point
-    asked: int
     end: End
 
 
@@ -105,7 +103,7 @@ class ShrinkSearch:
     def state(self) -> State:
         """Current progress."""
         walk = self._walk()
-        return State(at=walk.at, asked=len(walk.asked), end=walk.end)
+        return State(at=walk.at, end=walk.end)
 
     def rho(self, point: Point) -> float | None:
         """The answer for a point, or None."""

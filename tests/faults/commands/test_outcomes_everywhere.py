@@ -22,7 +22,7 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.trials.experiment import read_experiment
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.summary import campaign_summary, row_line
+from taxinet_ros.trials.summary import Summary, campaign_summary, row_line
 
 WORDS = '24 PASS, 12 FAIL, 2 REJECTED, 3 INFRA_ERROR (2 timeout, 1 died), 1 INTERRUPTED'
 UNJUDGED = '3 INFRA_ERROR (2 timeout, 1 died), 1 INTERRUPTED, 2 REJECTED'
@@ -62,7 +62,7 @@ def test_given_five_outcomes_when_printed_then_each_is_named_and_only_judged_run
         line for words in LINES for line in printed if words in line
     ]
     assert sum(' rho ' in line for line in printed) == JUDGED
-    first, second, *_ = campaign_summary(rows, options).splitlines()
+    first, second, *_ = campaign_summary(Summary(rows), options).splitlines()
     assert first == WORDS
     # 24 of 36, in a campaign that was interrupted.
     assert second.startswith('satisfied 67% (95 % interval that holds wherever a campaign stops')

@@ -16,11 +16,20 @@ from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.record import RECORD_NAME, Record
+from taxinet_ros.trials.record import content
 from taxinet_ros.trials.record import rows as module
-from taxinet_ros.trials.record.content import run_key
+from taxinet_ros.trials.record.content import ROW, StoredRows, run_key
+from taxinet_ros.trials.record.facts import STACKS
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.rows import RecordedRows, values_of
-from taxinet_ros.trials.record.table import csv_text, table
+from taxinet_ros.trials.record.table import (
+    CSV_NAME,
+    PARQUET_NAME,
+    csv_text,
+    table,
+    write_tables,
+)
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 MAYBE = st.none() | FINITE
@@ -32,7 +41,6 @@ DIMENSIONS = st.dictionaries(st.sampled_from(['x', 'y.z', 'index']), FINITE | st
 
 @pytest.fixture(autouse=True)
 def many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, 'FEW', 0)
     monkeypatch.setattr(module, '_AT_ONCE', 3)
 
 
@@ -137,3 +145,45 @@ def test_given_what_columns_cannot_say_then_rows_are_read_one_by_one(
     if named:
         with pytest.raises(UsageError, match=rf'campaign\.db: not a row of this version.*{named}'):
             table(found)
+
+
+@pytest.fixture
+def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[StoredRows, list[RunRow]]:
+    """Rows of which some are in a record only."""
+    monkeypatch.setattr(content, 'FEW', 4)
+    rows = [dataclasses.replace(one, point={'x': 0.1} if one.index == 13 else {})
+            for one in some(19)]
+    found = StoredRows(tmp_path / RECORD_NAME, (), {})
+    with Record(tmp_path / RECORD_NAME) as record:
+        for row in rows:
+            found.append(row)
+            record.put(ROW, run_key(row.index), row.to_json())
+            assert len(found.latest) <= 8
+    return found, rows
+
+
+def test_given_more_rows_than_are_in_memory_then_all_are_read_in_the_order_they_came(
+    stored: tuple[StoredRows, list[RunRow]]
+) -> None:
+    found, rows = stored
+    assert (list(found), len(found)) == (rows, 19)
+    parts = list(found.parts())
+    assert [len(part) for part in parts] == [4, 4, 4, 7]
+    assert [row for part in parts for row in part] == rows
+
+
+def test_given_stored_rows_then_their_table_is_that_of_all_at_once_though_written_in_parts(
+    stored: tuple[StoredRows, list[RunRow]], tmp_path: Path
+) -> None:
+    (tmp_path / 'whole').mkdir()
+    (tmp_path / 'parts').mkdir()
+    facts = {STACKS: {'a': {'processor': 'one'}}, 'specs': {'phi_a': '', 'phi_b': ''}}
+    for name, rows in zip(('parts', 'whole'), stored, strict=True):
+        write_tables(rows, tmp_path / name, facts)
+    one, other = (pd.read_parquet(tmp_path / name / PARQUET_NAME) for name in ('parts', 'whole'))
+    pd.testing.assert_frame_equal(one, other, check_exact=True)
+    assert one.attrs == other.attrs
+    assert {*one.attrs} == {STACKS}
+    assert one['u_x'].count() == 1
+    one, other = ((tmp_path / name / CSV_NAME).read_text() for name in ('parts', 'whole'))
+    assert one == other

@@ -21,7 +21,7 @@ from taxinet_ros.trials.rates import failure_rate, off_runway_rate
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.summary import campaign_summary, row_line, stopped_words
+from taxinet_ros.trials.summary import Summary, campaign_summary, row_line
 
 SPECS = ('phi_eventually', 'near')
 
@@ -98,11 +98,11 @@ def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told
     text = row_line(rows[0]).plain
     assert 'rho <=-0.25 ' in text
     assert 'stopped at 10.1 s' in text
-    assert stopped_words(rows) == [
+    assert Summary(rows).stopped_words() == [
         '1 stopped early, which saved 20 of 60 s of simulated time (33%)'
     ]
-    assert stopped_words(rows[1:]) == []
-    words = campaign_summary(rows, falsify_samples.options(tmp_path).campaign)
+    assert Summary(rows[1:]).stopped_words() == []
+    words = campaign_summary(Summary(rows), falsify_samples.options(tmp_path).campaign)
     assert '0 off the runway before they were stopped' in words
 
 

@@ -25,6 +25,8 @@ def test_given_a_table_when_written_then_pandas_and_we_read_it_with_its_attribut
     for one in (path, again):
         write_parquet(one, frame)
     assert path.read_bytes() == again.read_bytes()
+    frame.to_parquet(again, index=False, write_page_checksum=True)
+    assert path.read_bytes() == again.read_bytes()
     for found in (pd.read_parquet(path), read_any_table(path)):
         assert found.attrs == frame.attrs
         assert found['rho'].tolist() == frame['rho'].tolist()
