@@ -617,13 +617,19 @@ def _copy_over(sitting: _Sitting) -> None:
 _BROKEN = frozenset({ExitCode.INFRA})
 _NOTHING_THERE = ('no such file, so there is nothing to resume', 'c: holds no arm of experiment')
 
+
+def _ends(number: int) -> frozenset[int]:
+    """Exit codes of a command that a signal ends: the second before Python handles signals."""
+    return frozenset({128 + number, -number})
+
+
 FAULTS: Mapping[str, Fault] = {
     'campaign killed': Fault(
         act=_signal(signal.SIGKILL), codes=frozenset({-signal.SIGKILL})),
-    'campaign terminated': Fault(act=_signal(signal.SIGTERM), codes=frozenset({143})),
-    'Ctrl-C': Fault(act=_signal(signal.SIGINT), codes=frozenset({130})),
+    'campaign terminated': Fault(act=_signal(signal.SIGTERM), codes=_ends(signal.SIGTERM)),
+    'Ctrl-C': Fault(act=_signal(signal.SIGINT), codes=_ends(signal.SIGINT)),
     'Ctrl-C twice': Fault(
-        act=_signal(signal.SIGINT, signal.SIGINT), codes=frozenset({130})),
+        act=_signal(signal.SIGINT, signal.SIGINT), codes=_ends(signal.SIGINT)),
     'campaign stopped': Fault(act=_signal(signal.SIGSTOP, signal.SIGCONT, pause_s=1.0)),
     'worker killed': Fault(act=_to_one(_WORKER, signal.SIGKILL)),
     'worker terminated': Fault(act=_to_one(_WORKER, signal.SIGTERM)),
