@@ -24,9 +24,9 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.node_process import NodeProcess
-from taxinet_ros.nodes.lockstep.endpoints import End, ends_of, missing_nodes
 from taxinet_ros.nodes.lockstep.observer import AT_LEISURE
 from taxinet_ros.nodes.messages.convert import death_notice, lost_run_status
+from taxinet_ros.nodes.running.domain import End, ends_of, missing_nodes
 
 _ASK_PERIOD_S = 1.0
 _MOST_QUESTIONS = 60

@@ -76,15 +76,6 @@ def statistics_of(
     )
 
 
-def settled_message(free: FreeRun, run_id: str) -> TimingMessage:
-    """Message on the earlier frames settled with a frame: those that get no answer."""
-    unestimated, uncommanded = free.settle()
-    return TimingMessage(
-        header=header(free.seq * CONTROL_PERIOD_NS, ''), run_id=run_id, seq=free.seq,
-        unestimated=unestimated, uncommanded=uncommanded,
-    )
-
-
 def account_message(free: FreeRun, run_id: str) -> TimingMessage:
     """Message with the account of a free run, at its end."""
     account = free.account

@@ -21,7 +21,6 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
-from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import (
     COMMAND,
@@ -32,6 +31,7 @@ from taxinet_ros.nodes.interface import (
     STEERING_CONTROLLER,
     TRUTH,
 )
+from taxinet_ros.nodes.lockstep.active_run import ActiveRun
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
@@ -137,20 +137,18 @@ def test_given_an_estimate_of_a_wrong_frame_behind_the_command_of_it_then_the_pe
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
     with composed_graph(options) as graph:
         tamper(graph, ESTIMATE, only_at(STEP, with_(seq=STEP + 1)))
-        simulator = next(n for n in graph.nodes if n.get_name() == interface.SIMULATOR)
-        on_estimate, on_command = simulator._on_estimate, simulator._on_command
-        hear = simulator._take
+        hear = ActiveRun.hear
 
-        def take(run: Any, callback: Any, message: Any) -> None:
-            if callback == on_estimate and message.seq == STEP + 1:
+        def take(run: Any, topic: Any, message: Any) -> None:
+            if topic is ESTIMATE and message.seq == STEP + 1:
                 held.append(message)
                 return
-            hear(run, callback, message)
-            if callback == on_command and held:
+            hear(run, topic, message)
+            if topic is COMMAND and held:
                 overtaken.append(held.pop())
-                hear(run, on_estimate, overtaken[0])
+                hear(run, ESTIMATE, overtaken[0])
 
-        monkeypatch.setattr(simulator, '_take', take)
+        monkeypatch.setattr(ActiveRun, 'hear', take)
         (result,) = run(graph, request(duration=DURATION))
     assert len(overtaken) == 1
     assert (result.outcome, result.kind, result.who) == (

@@ -27,9 +27,8 @@ from taxinet_ros.nodes.interface import (
     SIMULATOR,
     STEERING_CONTROLLER,
 )
-from taxinet_ros.nodes.lockstep.endpoints import missing_nodes
 from taxinet_ros.nodes.recorder import Recorder
-from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.domain import missing_nodes, own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
