@@ -11,13 +11,12 @@ from rich.console import Console
 
 from taxinet_ros.cli.run.up_view import UpView
 from taxinet_ros.nodes.graph.runner import GraphOptions
-from taxinet_ros.nodes.graph.supervisor import State
 
 
-def a_node(name: str, state: State, restarts: int = 0, pid: int = 0) -> SimpleNamespace:
+def a_node(name: str, ready: bool, restarts: int = 0, pid: int = 0) -> SimpleNamespace:
     process = SimpleNamespace(pid=pid or os.getpid())
     return SimpleNamespace(
-        name=name, state=state, restarts=restarts, since_s=100.0, process=process,
+        name=name, ready=ready, restarts=restarts, since_s=100.0, process=process,
     )
 
 
@@ -28,8 +27,8 @@ def supervisor():
         outcomes=collections.Counter({'PASS': 9, 'FAIL': 3}),
     )
     nodes = [
-        a_node('simulator', State.READY), a_node('perception', State.STARTING, restarts=2),
-        a_node('steering_controller', State.SILENT), a_node('mtl_monitor', State.DEAD, pid=2**22),
+        a_node('simulator', True), a_node('perception', False, restarts=2),
+        a_node('mtl_monitor', True, pid=2**22),
     ]
     return SimpleNamespace(nodes=nodes, runs=runs, ready=True)
 
@@ -52,9 +51,8 @@ def test_given_a_graph_amid_a_run_then_the_table_names_each_nodes_state_and_the_
     assert (name, state, since, process, unit) == ('simulator', 'ready', '1:02:05', pid, 'MB')
     assert int(memory) > 1
     assert (*lines[3][:2], lines[3][-1]) == ('perception', 'starting', '2')
-    assert lines[4][:2] == ['steering_controller', 'silent']
-    assert lines[5] == ['mtl_monitor', 'dead', '1:02:05', str(2**22)]
-    assert lines[7] == ['run', 's_falsif-s0-00012:', 'step', '173', '3', 'FAIL', '9', 'PASS']
+    assert lines[4] == ['mtl_monitor', 'ready', '1:02:05', str(2**22)]
+    assert lines[6] == ['run', 's_falsif-s0-00012:', 'step', '173', '3', 'FAIL', '9', 'PASS']
     assert all(len(line) < 80 for line in shown(supervisor, tmp_path))
 
 
