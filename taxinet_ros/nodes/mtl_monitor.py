@@ -33,21 +33,14 @@ from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import header, robustness_message
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import (
-    Usage,
-    published_topics,
-    refuse_unknown,
-    subscribed_topics,
-)
+from taxinet_ros.nodes.running.parameters import Usage, refuse_unknown
 
 _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
 
-USAGE = Usage(
-    executable=interface.MTL_MONITOR,
+USAGE = Usage.of_node(
+    interface.MTL_MONITOR,
     does='Evaluates each run of the graph by its formulas. For topics of any robot, without a '
     'simulator, there is live_monitor.',
-    publishes=published_topics(interface.MTL_MONITOR),
-    subscribes=subscribed_topics(interface.MTL_MONITOR),
     parameters=(diagnostics.PARAMETER,),
 )
 

@@ -35,14 +35,7 @@ from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import account_of, lost_run_status
 from taxinet_ros.nodes.running.domain import publisher_names
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import (
-    Parameter,
-    Usage,
-    declare_all,
-    published_topics,
-    refuse_unknown,
-    subscribed_topics,
-)
+from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
 from taxinet_ros.trials.options import IMAGES
 from taxinet_ros.trials.record.facts import program_attachment
 
@@ -69,11 +62,9 @@ _OPTIONS = (
         description='runs whose camera frames are recorded',
     ),
 )
-USAGE = Usage(
-    executable=interface.RECORDER,
+USAGE = Usage.of_node(
+    interface.RECORDER,
     does='Writes one rosbag2 bag per run with all messages, step by step.',
-    publishes=published_topics(interface.RECORDER),
-    subscribes=subscribed_topics(interface.RECORDER),
     parameters=(*_OPTIONS, DIAGNOSTICS),
 )
 

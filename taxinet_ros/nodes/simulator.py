@@ -32,14 +32,7 @@ from taxinet_ros.nodes.messages.convert import one_line
 from taxinet_ros.nodes.messages.step import TransformBroadcaster, is_read_raw, step_reader
 from taxinet_ros.nodes.running import domain
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import (
-    Parameter,
-    Usage,
-    declare_all,
-    published_topics,
-    refuse_unknown,
-    subscribed_topics,
-)
+from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
 from taxinet_ros.registry import CAMERAS, KMWH, WORLDS, names
 
 _WATCH_PERIOD_S = 0.1
@@ -84,12 +77,10 @@ _OPTIONS = (
         description="required SHA-256 of the world's package; empty: any",
     ),
 )
-USAGE = Usage(
-    executable=interface.SIMULATOR,
+USAGE = Usage.of_node(
+    interface.SIMULATOR,
     does='The world, its camera, the clock, and the keeper of the lockstep: for each goal it has '
     'the graph get ready, and steps the world by its answers.',
-    publishes=published_topics(interface.SIMULATOR),
-    subscribes=subscribed_topics(interface.SIMULATOR),
     other=f'serves the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
     parameters=(*_OPTIONS, diagnostics.PARAMETER),
 )
@@ -152,7 +143,7 @@ class Simulator(Node):
         """Whether the current run has ended as INTERRUPTED, or all other nodes have left."""
         self._leaving = True
         if self._run is not None:
-            self._run.steps.leave()
+            self._run.steps.cancel()
         alone = not self.speakers[interface.SCENARIO.name].get_subscription_count()
         return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
 

@@ -85,9 +85,6 @@ class LiveGraph(Protocol):
     def why_silent(self, who: str) -> str:
         """Why nothing is heard of a node, as far as the graph shows it; or ''."""
 
-    def has_recorder(self) -> bool:
-        """Whether the recorder is still in the graph."""
-
 
 def subnormal(value: TrackingError | TaxiCommand) -> str:
     """Say which numbers of a valid answer no node can have meant, or ''.
@@ -176,7 +173,7 @@ class SteppedRun:
         self._first = self._held = first
         self._suspect: tuple[InfraError, float] | None = None
         self._unwanted_s: float | None = None
-        self._finished = self._leaving = False
+        self._finished = False
         self._begun_s = self.heard_s = clock()
 
     # What the graph says ------------------------------------------------------------------------
@@ -259,11 +256,6 @@ class SteppedRun:
         if self._unwanted_s is None:
             self._unwanted_s = self._clock()
 
-    def leave(self) -> None:
-        """The graph shuts down: as :meth:`cancel`, and a recorder that has left is not awaited."""
-        self._leaving = True
-        self.cancel()
-
     def fail(self, kind: str, who: str, detail: str) -> None:
         """End the run as INFRA_ERROR; after its end, only a lost bag counts."""
         # The error may be caused by a node outside the run; but one that died may have been started
@@ -293,9 +285,7 @@ class SteppedRun:
         """
         silence_s = self._clock() - self.heard_s
         if self.ending is not None:
-            if self._leaving and not self._graph.has_recorder():
-                self._finish()
-            elif silence_s > self._answer_timeout_s:
+            if silence_s > self._answer_timeout_s:
                 self.fail(InfraKind.TIMEOUT, RECORDER, 'did not finish its bag')
         elif self.started:
             self._watch_steps(silence_s)

@@ -35,7 +35,6 @@ from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.diagnostics import Health, Pace, too_long
 from taxinet_ros.nodes.messages.convert import (
     account_message,
-    duplicate_node_error,
     header,
     one_line,
     parse_blame,
@@ -184,7 +183,8 @@ class ActiveRun(LiveGraph):
         recorder = said.node == interface.RECORDER
         if said.state == NodeStatus.READY and said.node in self.participants:
             if not same_ready(self.ready.setdefault(said.node, said), said):
-                raise duplicate_node_error(said.node)
+                words = 'two different nodes have this name'
+                raise InfraError(InfraKind.INTRUDER, said.node, -1, words)
             self.listens[said.node] = set(said.listens)
             if said.node == interface.PERCEPTION:
                 self.perception = {
@@ -274,12 +274,6 @@ class ActiveRun(LiveGraph):
     def why_silent(self, who: str) -> str:
         """See :func:`.domain.why_silent`."""
         return domain.why_silent(self._node, who, self.participants)
-
-    def has_recorder(self) -> bool:
-        """Whether the recorder is still in the graph."""
-        # Its first endpoint: others may not be discovered yet although it knows of the run.
-        ends = self._node.get_subscriptions_info_by_topic(interface.SCENARIO.name)
-        return interface.RECORDER in {end.node_name for end in ends}
 
 
 def not_begun(run_id: str, error: Exception) -> RunStatus:

@@ -58,7 +58,6 @@ class ScenarioSampler(Node):
     Attributes:
         seq: latest known control step of the current run.
         interrupted: whether :meth:`interrupt` was called.
-        one_simulator: whether to fail at once if there is a second simulator.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -76,7 +75,7 @@ class ScenarioSampler(Node):
         self._answer: Future | None = None
         self._finished: Future | None = None
         self._cancelled = False
-        self.interrupted = self.one_simulator = False
+        self.interrupted = False
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = self._last_asked = 0.0
@@ -256,9 +255,7 @@ class ScenarioSampler(Node):
         elif self._may_ask():
             assert self._request is not None
             self._ask(self._request, answer)
-        elif now - self._asked > server_timeout_s or (
-            self.one_simulator and len(simulators(self)) > 1
-        ):
+        elif now - self._asked > server_timeout_s:
             answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
 
     def _handle_of_sent(self) -> ClientGoalHandle:

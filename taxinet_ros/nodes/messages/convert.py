@@ -118,13 +118,6 @@ def same_ready(one: NodeStatus, other: NodeStatus) -> bool:
     return (one.implementation, one.fingerprint) == (other.implementation, other.fingerprint)
 
 
-def duplicate_node_error(node: str) -> InfraError:
-    """Error of a run with two different READY messages of the same node name."""
-    return InfraError(
-        InfraKind.INTRUDER, node, -1, 'two different nodes have this name'
-    )
-
-
 def death_notice(
     run_id: str, name: str, detail: str, *, kind: str = InfraKind.DIED, seq: int = 0
 ) -> NodeStatus:

@@ -40,7 +40,6 @@ class Graph:
         self.finished: list[Ending] = []
         self.foreign: tuple[str, str] | None = None
         self.deaf: list[str] = []
-        self.recorder = True
         roles: dict[str, Any] = {
             'participants': PARTICIPANTS, 'chain': CHAIN, 'followers': FOLLOWERS,
             'last_seq': last_seq,
@@ -84,9 +83,6 @@ class Graph:
 
     def why_silent(self, who: str) -> str:
         return 'does not publish' if who == STEERING_CONTROLLER else ''
-
-    def has_recorder(self) -> bool:
-        return self.recorder
 
     # What nodes do
 
@@ -238,15 +234,6 @@ def test_given_a_cancel_then_the_run_ends_between_two_steps_or_after_a_second(gr
     other.now_s = 1.1
     other.run.watch()
     assert other.run.ending == Ending(Outcome.INTERRUPTED, 0)
-
-
-def test_given_a_graph_that_shuts_down_then_a_recorder_that_has_left_is_not_awaited(graph):
-    graph.run.leave()
-    graph.run.watch()
-    assert (graph.run.ending, graph.finished) == (Ending(Outcome.INTERRUPTED, 0), [])
-    graph.recorder = False
-    graph.run.watch()
-    assert graph.finished == [Ending(Outcome.INTERRUPTED, 0)]
 
 
 def test_given_a_monitor_that_stops_the_run_then_its_last_step_is_the_current_one(graph):

@@ -31,7 +31,6 @@ from taxinet_ros.nodes.interface import (
     STEERING_CONTROLLER,
     TRUTH,
 )
-from taxinet_ros.nodes.lockstep.active_run import ActiveRun
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
@@ -126,34 +125,6 @@ def test_given_a_message_that_is_wrong_then_the_run_names_who_sent_it_and_why(ca
     assert words in result.detail
     if topic is IMAGE:
         assert result.last_seq == STEP
-
-
-def test_given_an_estimate_of_a_wrong_frame_behind_the_command_of_it_then_the_perception_is_charged(
-    tmp_path, monkeypatch
-):
-    """The command that follows comes in before the estimate that it follows."""
-    held: list[Any] = []
-    overtaken: list[Any] = []
-    options = GraphOptions(perception='truth', out=tmp_path, images='none')
-    with composed_graph(options) as graph:
-        tamper(graph, ESTIMATE, only_at(STEP, with_(seq=STEP + 1)))
-        hear = ActiveRun.hear
-
-        def take(run: Any, topic: Any, message: Any) -> None:
-            if topic is ESTIMATE and message.seq == STEP + 1:
-                held.append(message)
-                return
-            hear(run, topic, message)
-            if topic is COMMAND and held:
-                overtaken.append(held.pop())
-                hear(run, ESTIMATE, overtaken[0])
-
-        monkeypatch.setattr(ActiveRun, 'hear', take)
-        (result,) = run(graph, request(duration=DURATION))
-    assert len(overtaken) == 1
-    assert (result.outcome, result.kind, result.who) == (
-        Outcome.INFRA_ERROR, 'protocol', PERCEPTION)
-    assert result.detail == f'answered frame {STEP + 1}, which is not out yet'
 
 
 def test_given_a_follower_that_is_ahead_of_time_then_it_is_charged(tmp_path, monkeypatch):

@@ -16,7 +16,6 @@ from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.node import Node
 from tampering import tamper
-from taxinet_msgs.msg import NodeStatus
 from tf2_msgs.msg import TFMessage
 from waiting import wait_for
 
@@ -25,8 +24,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.verdict.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
-from taxinet_ros.nodes.interface import RECORDER, Topic
-from taxinet_ros.nodes.lockstep.participant import Participant
+from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.messages.convert import death_notice
 from taxinet_ros.nodes.running.leave import leave_graph
 
@@ -209,24 +207,6 @@ def test_f4_given_an_obituary_then_the_run_has_no_verdict(who, tmp_path):
         result = disturbed(tmp_path, report_death)
     assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'died', who)
     assert_bag_has_no_verdict(tmp_path / 'run', who)
-
-
-@pytest.mark.parametrize(('done', 'words'), [
-    ({'detail': 'PASS'}, 'closed its bag as PASS at step 10'),
-    ({'seq': 7}, 'closed its bag as FAIL at step 7'),
-])
-def test_f4_given_a_bag_that_is_not_what_the_run_was_then_the_run_has_no_verdict(
-    done, words, tmp_path, monkeypatch
-):
-    report = Participant.report
-    monkeypatch.setattr(
-        Participant, 'report', lambda self, state, **what: report(
-            self, state, **(what | done if state == NodeStatus.DONE else what)),
-    )
-    with composed_graph(GraphOptions(perception='truth', out=tmp_path, images='none')) as graph:
-        (result,) = run(graph, request(duration=1.0))
-    assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'bag', RECORDER)
-    assert result.detail == words
 
 
 def test_f4_given_a_second_simulator_then_its_answers_are_no_results(tmp_path):
