@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import shutil
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -16,23 +17,21 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.serialization import deserialize_message, serialize_message
-from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
+from rclpy.serialization import serialize_message
+from taxinet_msgs.msg import NodeStatus, Scenario
 
-from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.run.live_bag import PATIENT_LOOKS, LiveBag, stepped_topics
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.diagnostics import Health
 from taxinet_ros.nodes.lockstep.late_frames import LateFrames
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.convert import account_of, lost_run_status
+from taxinet_ros.nodes.messages.convert import lost_run_status
 from taxinet_ros.nodes.running.domain import publisher_names
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
@@ -41,6 +40,7 @@ from taxinet_ros.trials.record.facts import program_attachment
 
 _LOOK_S = 0.05
 """Period [s] of looks for messages that may follow the end of an aborted run."""
+_REPORTS_KEPT = 32  # more than all nodes say in one run
 _DRAINED_LOOKS, _DEAF_LOOKS = 4, 80
 """Looks without a message after which this node may leave: without and with a simulator."""
 _OPTIONS = (
@@ -87,21 +87,20 @@ class Recorder(Participant):
         self._images = given['images']
         self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
         self.bag: LiveBag | None = None
-        self._reports: dict[str, tuple[NodeStatus, bytes]] = {}
+        # Another node may be ready before this one knows of the run.
+        self._reports: deque[bytes] = deque(maxlen=_REPORTS_KEPT)
         self._looks = 0
         self._progress = self.speak(interface.PROGRESS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         look = functools.partial(self._guarded(self._look), None)
         self._rest = self.create_timer(_LOOK_S, look, clock=steady)
         self._rest.cancel()
-        names = {topic.name for topic in stepped_topics(self._images == 'all')}
-        for topic in interface.TOPICS:
-            if topic.name in names:
-                self.listen(topic, functools.partial(self._step_message, topic), raw=True)
-        self.listen(interface.NODE_STATUS, self._on_status, raw=True)
-        self.listen(interface.VERDICT, self._on_verdict, raw=True)
-        self.listen(interface.RUN_STATUS, self._on_run_status, raw=True)
-        self.listen(interface.TIMING, self._on_timing)
+        stepped = {topic.name for topic in stepped_topics(self._images == 'all')}
+        for topic in (
+            *(one for one in interface.TOPICS if one.name in stepped),
+            interface.NODE_STATUS, interface.VERDICT, interface.RUN_STATUS, interface.TIMING,
+        ):
+            self.listen(topic, functools.partial(self._record, topic), raw=True)
         topic = interface.OBITUARY
         heard = self._guarded(self._on_death_notice)
         self.create_subscription(topic.type, topic.name, heard, topic.qos)
@@ -116,9 +115,8 @@ class Recorder(Participant):
             attachments=program_attachment(scenario.program, self._out),
             make_parents=self._make_out,
         )
-        for status, cdr in self._reports.values():
-            if status.run_id == scenario.run_id:
-                self.bag.ready(status, cdr)
+        for cdr in self._reports:
+            self.bag.take(interface.NODE_STATUS, cdr)
 
     def clear(self) -> None:
         """See :class:`Participant`."""
@@ -183,10 +181,6 @@ class Recorder(Participant):
             self.bag.abandon()
             self.bag = None
 
-    def _of_run(self, run_id: str) -> LiveBag | None:
-        """The bag under way, if it is that of a run."""
-        return self.bag if run_id == self.run_id else None
-
     # Messages --------------------------------------------------------------------------------
 
     def _take(self, scenario: Scenario) -> None:
@@ -198,52 +192,21 @@ class Recorder(Participant):
             words = f'{", ".join(sorted(others))} publishes {interface.SCENARIO.name} too'
             self.get_logger().warning(f'run {scenario.run_id} is not recorded: {words}')
 
-    def _step_message(self, topic: Topic, cdr: bytes) -> None:
-        if self.bag is None:
+    def _record(self, topic: Topic, cdr: bytes) -> None:
+        if topic is interface.NODE_STATUS:
+            self._reports.append(cdr)
+        bag = self.bag
+        if bag is None:
             return
-        seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
-        if off_ns:
-            what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is not a control step'
-            raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
-        self._looks = 0
-        self._report(self.bag, self.bag.add(topic.name, seq, cdr))
-
-    def _on_timing(self, timing: Timing) -> None:
-        """In a free run frames may have no answer, and time does not wait for the recorder."""
-        bag = self._of_run(timing.run_id)
-        if bag is not None and timing.ended:
-            bag.account(account_of(timing))
+        if topic.each_step:
+            self._looks = 0
+        self._report(bag, bag.take(topic, cdr))
+        if not topic.each_step:
             self._close_if_whole(bag)
-        elif bag is not None:
-            self._report(bag, bag.settle(timing.seq, timing.unestimated, timing.uncommanded))
-
-    def _on_status(self, cdr: bytes) -> None:
-        status = deserialize_message(cdr, NodeStatus)
-        if status.state != NodeStatus.READY:
-            return
-        if status.node == self.get_name():
-            # The bag's topics contain the one, and frames added later must not change anything
-            # else; the other is the bag's place, not its content.
-            status.listens, status.detail = [], ''
-            cdr = serialize_message(status)
-        # Another node may be ready before this one knows of the run.
-        self._reports[status.node] = status, cdr
-        if (bag := self._of_run(status.run_id)) is not None:
-            self._report(bag, bag.ready(status, cdr))
-
-    def _on_verdict(self, cdr: bytes) -> None:
-        run_id = deserialize_message(cdr, interface.VERDICT.type).run_id
-        if (bag := self._of_run(run_id)) is not None:
-            bag.judge(cdr)
-            self._close_if_whole(bag)
-
-    def _on_run_status(self, cdr: bytes) -> None:
-        self._end(deserialize_message(cdr, RunStatus), cdr)
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
-            status = lost_run_status(notice)
-            self._end(status, serialize_message(status))
+            self._record(interface.RUN_STATUS, serialize_message(lost_run_status(notice)))
 
     # The bag ---------------------------------------------------------------------------------
 
@@ -254,12 +217,6 @@ class Recorder(Participant):
                 self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
         if (now := bag.news()) is not None:
             self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
-
-    def _end(self, status: RunStatus, cdr: bytes) -> None:
-        bag = self._of_run(status.run_id)
-        if bag is not None and status.state == RunStatus.ENDED:
-            bag.end(status, cdr)
-            self._close_if_whole(bag)
 
     def _look(self, _: None) -> None:
         self._looks += 1

@@ -6,11 +6,14 @@ The bag is flushed after each complete step: a crash loses only the current step
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
+from taxinet_ros.bag.cdr.decode import decoder
+from taxinet_ros.bag.run.message_values import account_of, scenario_of
+from taxinet_ros.bag.run.messages import header_values, message_cdr
 from taxinet_ros.bag.run.run_bag import (
     OUTCOME_METADATA,
     bag_name,
@@ -18,7 +21,9 @@ from taxinet_ros.bag.run.run_bag import (
     open_run_bag,
     outcome_words,
 )
+from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.topics import describe_topic
 from taxinet_ros.bag.writer import FREE_RUN_METADATA
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
@@ -28,12 +33,19 @@ from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import InfraError, InfraKind
 
 PATIENT_LOOKS, BROKEN_LOOKS = 70, 5
 """Number of looks of 0.05 s without a message after which an aborted or failed run is complete.
 
 DDS resends lost messages after 3 s at most.
 """
+
+
+_DECODE = {
+    topic.name: decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
+    for topic in (topics.NODE_STATUS, topics.TIMING, topics.VERDICT, topics.RUN_STATUS)
+}
 
 
 def stepped_topics(images: bool) -> tuple[Topic, ...]:
@@ -92,8 +104,8 @@ class LiveBag:
         self._transform_of = OdometryTransforms()
         self._scenario_cdr, self._camera = scenario_cdr, scene.camera_model
         self._awaited = topics.NODE_STATUS.speakers(scenario.participants)
+        self._run_id = scenario.run_id
         self._reports: dict[str, bytes] = {}
-        self._nothing_special: set[str] = set()
         self.clear()
         self._writer = open_run_bag(
             folder, scenario, images=images, attachments=attachments,
@@ -111,54 +123,72 @@ class LiveBag:
             if topic.publishers == (topics.SIMULATOR,)
         ])
 
-    # What arrives -------------------------------------------------------------------------------
-
-    def ready(self, report: Any, cdr: bytes) -> list[int]:
-        """Take the READY message of a node; once all are there, the bag has its head.
+    def take(self, topic: Topic, cdr: bytes) -> list[int]:
+        """Take a message of any recorded topic; of another run it is ignored.
 
         Returns:
-            Steps that were written.
-        """
-        if report.node in self._reports:
-            return []
-        self._reports[report.node] = cdr
-        if report.node == topics.SIMULATOR:
-            self.free = is_free(report.implementation)
-            if not (report.implementation or report.detail):
-                self._nothing_special.add(report.node)  # default timing in the shipped world
-        if not self._has_head:
-            return []
-        self._write_head()
-        return self._write_steps()
+            Control steps that were written.
 
-    def add(self, topic: str, seq: int, cdr: bytes) -> list[int]:
-        """Take a message of a control step; return the steps that were written."""
-        self._progress.arrived(topic, seq)
-        whole = self.steps.add(topic, seq, cdr)
+        Raises:
+            InfraError: it is stamped between two control steps.
+            BagCorrupt: it is not a message of its topic's type.
+        """
+        if topic.name in self._expected:
+            return self._take_step(topic, cdr)
+        message = _DECODE[topic.name](cdr)
+        if message.run_id != self._run_id:
+            return []
+        if topic.name == topics.NODE_STATUS.name:
+            return self._take_report(message, cdr) if message.state == NODE_READY else []
+        if topic.name == topics.TIMING.name:
+            return self._take_timing(message)
+        if topic.name == topics.VERDICT.name:
+            self._verdict = cdr
+        elif topic.name == topics.RUN_STATUS.name and message.state == RUN_ENDED:
+            self.ended, self._ended_cdr = message, cdr
+        return []
+
+    def _take_step(self, topic: Topic, cdr: bytes) -> list[int]:
+        seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
+        if off_ns:
+            what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is not a control step'
+            raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
+        self._progress.arrived(topic.name, seq)
+        whole = self.steps.add(topic.name, seq, cdr)
         if not whole:
             return []
         self._held += whole
         return self._write_steps()
 
-    def settle(
-        self, seq: int, unestimated: Iterable[int], uncommanded: Iterable[int]
-    ) -> list[int]:
-        """Take which frames of a free run get no answer; return the steps that were written."""
-        self._held += self.steps.settle(unestimated, uncommanded)
-        self._progress.arrived(topics.TIMING.name, seq)
+    def _take_report(self, report: Any, cdr: bytes) -> list[int]:
+        """Once all nodes are ready, the bag has its head."""
+        node = report.node
+        if node in self._reports:
+            return []
+        if node == topics.RECORDER:
+            # Without the bag's topics, which it contains, and its place, which is not its content.
+            cdr = message_cdr(topics.NODE_STATUS, {
+                'header': header_values(0, ''), 'run_id': self._run_id, 'node': node,
+                'state': NODE_READY,
+            })
+        self._reports[node] = cdr
+        if node == topics.SIMULATOR:
+            self.free = is_free(report.implementation)
+            if not (report.implementation or report.detail):
+                self._reports[node] = b''  # default timing in the shipped world: nothing to record
+        if not self._has_head:
+            return []
+        self._write_head()
         return self._write_steps()
 
-    def judge(self, verdict: bytes) -> None:
-        """Take the verdict."""
-        self._verdict = verdict
-
-    def account(self, account: FreeRunAccount) -> None:
-        """Take the account of a free run."""
-        self._account = account
-
-    def end(self, status: Any, cdr: bytes) -> None:
-        """Take the last status of the run."""
-        self.ended, self._ended_cdr = status, cdr
+    def _take_timing(self, timing: Any) -> list[int]:
+        """In a free run frames may have no answer, and time does not wait for the recorder."""
+        if timing.ended:
+            self._account = account_of(timing)
+            return []
+        self._held += self.steps.settle(timing.unestimated, timing.uncommanded)
+        self._progress.arrived(topics.TIMING.name, timing.seq)
+        return self._write_steps()
 
     def news(self) -> tuple[int, int] | None:
         """Steps of a free run that are written and have arrived, if this is news."""
@@ -229,8 +259,8 @@ class LiveBag:
 
     def _write_head(self) -> None:
         self._write(topics.SCENARIO, self._scenario_cdr, 0)
-        for node, cdr in sorted(self._reports.items()):
-            if node not in self._nothing_special:
+        for _, cdr in sorted(self._reports.items()):
+            if cdr:
                 self._write(topics.NODE_STATUS, cdr, 0)
         self._write(topics.TF_STATIC, camera_transform(self._camera), 0)
 

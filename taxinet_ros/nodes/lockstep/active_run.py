@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.task import Future
@@ -43,9 +43,6 @@ from taxinet_ros.nodes.messages.convert import (
 from taxinet_ros.nodes.names import check_participants
 from taxinet_ros.nodes.running import domain
 
-if TYPE_CHECKING:
-    from taxinet_ros.nodes.simulator import Simulator
-
 
 class ActiveRun(LiveGraph):
     """A run on the simulator's graph.
@@ -60,8 +57,12 @@ class ActiveRun(LiveGraph):
         ready: READY message of each participant.
     """
 
-    def __init__(self, goal: Any, node: Simulator) -> None:
+    def __init__(self, goal: Any, node: Any) -> None:
         """Build the world of the goal's scenario.
+
+        Args:
+            goal: the action's goal handle.
+            node: the :class:`.Simulator`.
 
         Raises:
             UsageError: the scenario has a value out of range, a name that is no valid folder name,
@@ -255,7 +256,7 @@ class ActiveRun(LiveGraph):
         """Topics on which the simulator has not found all other nodes of the run."""
         ends = self._node.ends
         return [
-            *(name for name, _ in ends.unmatched(self.participants, self.listeners)),
+            *ends.unmatched(self.participants, self.listeners),
             *(
                 topic.name for topic in interface.TOPICS if topic.name not in ends.listeners
                 and not domain.has_its_publishers(self._node, topic, self.participants)

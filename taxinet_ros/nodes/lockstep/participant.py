@@ -139,8 +139,7 @@ class Participant(Node):
             return Health(message=f'run {self.run_id}' if self.run_id else 'no run', values=values)
         if not too_long(time.monotonic() - self._taken_s):
             return Health(message=f'run {self.run_id}: starting', values=values)
-        values['waits for'] = ', '.join(sorted(self.waits_for()))
-        unmatched = ', '.join(topic for topic, _ in self._unmatched())
+        unmatched = ', '.join(self._unmatched())
         if not unmatched:  # no more; READY follows at the next check
             return Health(message=f'run {self.run_id}: starting', values=values)
         line = f'run {self.run_id}: endpoints not matched on {unmatched}'
@@ -161,12 +160,6 @@ class Participant(Node):
         """Whether there is no run, or no simulator that could end it."""
         scenarios = self._ends.listeners[interface.SCENARIO.name]
         return not self.run_id or not scenarios.get_publisher_count()
-
-    def waits_for(self) -> set[str]:
-        """Nodes of the run not matched yet, see :class:`.node_main.Waiting`."""
-        if self._scenario is None or self._poll.is_canceled():
-            return set()
-        return {name for _, names in self._unmatched() for name in names} - {self.get_name()}
 
     def close(self) -> None:
         """Finish pending work; called once before the node is destroyed."""
@@ -206,8 +199,8 @@ class Participant(Node):
         self._poll.cancel()
         self.report(NodeStatus.READY, detail=self.origin)
 
-    def _unmatched(self) -> Iterator[tuple[str, set[str]]]:
-        """Topics with unmatched or foreign endpoints in this run, and the nodes missing there."""
+    def _unmatched(self) -> Iterator[str]:
+        """Topics with unmatched or foreign endpoints in this run."""
         assert self._scenario is not None
         present = self._scenario.participants
         return self._ends.unmatched(present, lambda topic: topic.listeners(present))

@@ -16,13 +16,13 @@ from rclpy.node import Node
 from rclpy.task import Future
 from taxinet_msgs.msg import Verdict
 
+from taxinet_ros.bag.run.message_values import account_of
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.convert import (
-    account_of,
     death_notice,
     scenario_message,
     statistics_of,

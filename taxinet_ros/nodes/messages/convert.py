@@ -17,7 +17,7 @@ from taxinet_msgs.msg import Timing as TimingMessage
 from taxinet_ros.bag.run.message_values import reading_values, scenario_values
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec
-from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
+from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
@@ -85,16 +85,6 @@ def account_message(free: FreeRun, run_id: str) -> TimingMessage:
         applied=account.applied, frame_time=account.frame_s, estimate_time=account.estimate_s,
         command_time=account.command_s, estimate_seq=account.estimate_seq,
         command_seq=account.command_seq, overruns=account.overruns, stale=account.stale,
-    )
-
-
-def account_of(message: TimingMessage) -> FreeRunAccount:
-    """The inverse of :func:`account_message`."""
-    return FreeRunAccount(
-        applied=list(message.applied), frame_s=list(message.frame_time),
-        estimate_s=list(message.estimate_time), command_s=list(message.command_time),
-        estimate_seq=list(message.estimate_seq), command_seq=list(message.command_seq),
-        overruns=message.overruns, stale=message.stale,
     )
 
 

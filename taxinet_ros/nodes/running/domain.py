@@ -306,8 +306,8 @@ class Endpoints:
 
     def unmatched(
         self, participants: Sequence[str], needed: Callable[[Topic], Collection[str]]
-    ) -> Iterator[tuple[str, set[str]]]:
-        """Yield topics on which not all of a run have found this node, with those missing.
+    ) -> Iterator[str]:
+        """Yield topics on which this node has not found all others of a run, or one too many.
 
         Counting is not enough: an earlier ``ros2 topic echo`` would be counted as a node of the
         run, and that node would miss the run's first messages.
@@ -317,17 +317,11 @@ class Endpoints:
             needed: names of the nodes that must hear a topic.
         """
         for topic in interface.TOPICS:
-            if (publisher := self.speakers.get(topic.name)) is not None:
-                names = set(needed(topic))
-                if not heard_by(self._node, publisher, names):
-                    ends = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
-                    yield topic.name, names - {end.node_name for end in ends} or names
-            if (heard := self.listeners.get(topic.name)) is not None and (
-                not hears(self._node, heard, topic, participants)
+            speaker, listener = self.speakers.get(topic.name), self.listeners.get(topic.name)
+            if (speaker and not heard_by(self._node, speaker, needed(topic))) or (
+                listener and not hears(self._node, listener, topic, participants)
             ):
-                ends = self._node.get_publishers_info_by_topic(topic.name)
-                wanted = _wanted(topic, participants)
-                yield topic.name, wanted - {end.node_name for end in ends} or wanted
+                yield topic.name
 
     def _second_publisher_events(self, topic: Topic) -> SubscriptionEventCallbacks:
         present = 0
