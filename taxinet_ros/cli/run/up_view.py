@@ -102,7 +102,6 @@ class UpView:
         """Table of the nodes, and a status line of the runs."""
         table = Table(box=None, pad_edge=False, header_style='dim')
         table.add_column('node', min_width=20)
-        table.add_column('state', min_width=10)
         for name in ('since', 'process', 'memory', 'restarts'):
             table.add_column(name, justify='right', min_width=9)
         for watched in supervisor.nodes:
@@ -119,7 +118,6 @@ def _row(watched: WatchedNode, now_s: float) -> list[RenderableType]:
         memory = f'{psutil.Process(pid).memory_info().rss / 1e6:.0f} MB'
     return [
         watched.name,
-        Text('ready', style='green') if watched.ready else Text('starting', style='yellow'),
         _span(now_s - watched.since_s),
         str(pid),
         memory,

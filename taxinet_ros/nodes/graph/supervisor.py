@@ -6,7 +6,7 @@ import collections
 import enum
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from action_msgs.msg import GoalStatus
@@ -21,7 +21,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.lockstep.observer import AT_LEISURE
 from taxinet_ros.nodes.messages.convert import death_notice, lost_run_status
-from taxinet_ros.nodes.running.domain import End, ends_of, missing_nodes, publisher_names
+from taxinet_ros.nodes.running.domain import missing_nodes, publisher_names
 
 _TICK_S = 0.1
 _END_OF_RUN_S = 20.0
@@ -69,18 +69,14 @@ class WatchedNode:
     Attributes:
         process: the node's process.
         limit: its restart limit.
-        ready: whether all its endpoints are there.
-        since_s: time since which it is ready, or starting, monotonic clock [s].
+        since_s: time of its last start, monotonic clock [s].
         restarts: number of restarts so far.
-        gone: endpoints of its dead processes, which stay in the graph for a while.
     """
 
     process: NodeProcess
     limit: RestartLimit
-    ready: bool = False
     since_s: float
     restarts: int = 0
-    gone: set[End] = field(default_factory=set)
 
     @property
     def name(self) -> str:
@@ -203,7 +199,7 @@ class Supervisor(Node):
             restart: what to do when a node dies, or its silence ends a run.
             limit: maximum number of restarts of a node within ``window_s``.
             window_s: see ``limit`` [s].
-            ready_s: timeout until a node that was started is ready [s].
+            ready_s: timeout until the graph is complete for the first time [s].
             node: goes to :class:`rclpy.node.Node`.
         """
         super().__init__(interface.SUPERVISOR, start_parameter_services=False, **node)
@@ -246,27 +242,20 @@ class Supervisor(Node):
             for watched in self.nodes:
                 if watched.process.dead:
                     self._handle_death(watched, now_s)
-            if not all(watched.ready for watched in self.nodes):
+            if not self.ready:
                 self._wait(now_s)
         except (GraphLostError, UsageError) as error:
             self.ended.set_exception(error)
 
     def _wait(self, now_s: float) -> None:
-        """Check which of the started nodes are ready."""
-        gone = {end for watched in self.nodes for end in watched.gone}
-        why = missing_nodes(self, self._names, gone)
-        starting = [watched for watched in self.nodes if not watched.ready]
-        for watched in starting:
-            if watched.name not in why:
-                watched.ready, watched.since_s = True, now_s
-                if self.ready:
-                    self._say(f'{watched.name} is ready again')
-        late = [w for w in starting if not w.ready and now_s - w.since_s > self._ready_s]
+        """Check whether the graph is complete for the first time; a run waits for it later."""
+        why = missing_nodes(self, self._names)
+        late = [w for w in self.nodes if w.name in why and now_s - w.since_s > self._ready_s]
         if late:
             words = '; '.join(f'{watched.name} {why[watched.name]}' for watched in late)
             limit = f'not ready within {self._ready_s:g} s'
             raise GraphLostError(f'{limit}: {words}; {_logs(late)}')
-        if not self.ready and all(watched.ready for watched in self.nodes):
+        if not why:
             self.ready = True
             self._say(f'ready: {", ".join(self._names)}')
 
@@ -286,10 +275,9 @@ class Supervisor(Node):
             f'{watched.name} died: {detail}; restarted ({number} of {self._limit} in '
             f'{self._window_s:g} s)'
         )
-        watched.gone |= ends_of(self, watched.name)
         watched.process.start()
         watched.restarts += 1
-        watched.ready, watched.since_s = False, now_s
+        watched.since_s = now_s
 
     def _kill_silent(self, name: str) -> None:
         """Have a node that hangs started again."""

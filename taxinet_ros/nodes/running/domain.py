@@ -414,14 +414,11 @@ def fits(offered: Any, asked: Any) -> bool:
     return bool(qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR)
 
 
-def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) -> dict[str, str]:
-    """Nodes that are missing or incomplete without the endpoints ``gone``, each with the reason."""
+def missing_nodes(node: Node, names: Sequence[str]) -> dict[str, str]:
+    """Nodes that are missing or incomplete, each with the reason."""
     why: dict[str, str] = {}
     for topic in interface.TOPICS:
-        speakers, listeners = (
-            [end for end in ends if tuple(end.endpoint_gid) not in gone]
-            for ends in _ends(node, topic)
-        )
+        speakers, listeners = _ends(node, topic)
         expected = (
             ('publish', speakers, topic.speakers(names)),
             ('subscribe to', listeners, topic.listeners(names) - _CHOSEN.get(topic.name, set())),
@@ -465,15 +462,6 @@ def why_not_ready(
         why = why_silent(node, silent[0], participants) or 'does not say that it is ready'
         return InfraKind.NOT_READY, ', '.join(silent), why
     return InfraKind.NOT_READY, SIMULATOR, f'not all ends are found on {", ".join(unmatched)}'
-
-
-def ends_of(node: Node, name: str) -> set[End]:
-    """All known endpoints of a node of a graph."""
-    return {
-        tuple(end.endpoint_gid)
-        for topic in interface.TOPICS for ends in _ends(node, topic) for end in ends
-        if end.node_name == name
-    }
 
 
 def _ends(node: Node, topic: Topic) -> tuple[list[Any], list[Any]]:
