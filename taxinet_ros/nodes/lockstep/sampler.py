@@ -277,7 +277,7 @@ class ScenarioSampler(Node):
     def _two_servers(self, still: str) -> RunResult:
         names = sorted(simulators(self).values())
         others = [name for name in names if name != interface.SIMULATOR] or names
-        detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}{still}'
+        detail = f'{len(names)} nodes publish {interface.SCENARIO.name}{still}'
         return RunResult.infra_error(InfraKind.INTRUDER, others[0], detail, 0)
 
 
