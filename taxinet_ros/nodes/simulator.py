@@ -21,7 +21,7 @@ from taxinet_msgs.msg import NodeStatus
 from taxinet_ros.core import topics
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, Timing, free_timing, parse_latency
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.core.world import close_world, find_world
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -150,9 +150,7 @@ class Simulator(Node):
     def waits_for(self) -> Iterable[str]:
         """Names of the nodes that the current run waits for: see :class:`.node_main.Waiting`."""
         run = self._run
-        if run is None or (
-            run.steps.started and time.monotonic() - run.steps.heard_s < _STALLED_S
-        ):
+        if run is None or time.monotonic() - run.steps.heard_s < _STALLED_S:
             return ()
         return run.steps.awaited(diagnostics.PATIENCE_S)
 
@@ -201,7 +199,7 @@ class Simulator(Node):
         if judged:
             result.verdict = run.verdict
         self._run = None
-        close_world(run.world)
+        run.close()
         self.pace.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
         if judged:

@@ -28,7 +28,7 @@ from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.core.verdict.judge import check_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.core.world import check_picture
+from taxinet_ros.core.world import check_picture, close_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep import diagnostics
@@ -141,6 +141,11 @@ class ActiveRun(LiveGraph):
             header=header(self.seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state,
             seq=self.seq, **self.perception, **what,
         )
+
+    def close(self) -> None:
+        """Release the world, which is large, at once."""
+        close_world(self.world)
+        del self.world
 
     def feedback(self) -> RunScenario.Feedback:
         """Progress of the run."""
