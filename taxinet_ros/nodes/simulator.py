@@ -119,8 +119,8 @@ class Simulator(Node):
             if interface.SIMULATOR in topic.publishers:
                 self.ends.speak(topic)
             if interface.SIMULATOR in topic.subscribers:
-                hear = functools.partial(self._hear, topic, step_reader(topic))
-                self.ends.listen(topic, hear, raw=is_read_raw(topic))
+                on_message = functools.partial(self._on_message, topic, step_reader(topic))
+                self.ends.listen(topic, on_message, raw=is_read_raw(topic))
         self.transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
         self.create_subscription(topic.type, topic.name, self._on_death_notice, topic.qos)
@@ -224,8 +224,8 @@ class Simulator(Node):
         except Exception as error:
             run.steps.fail(InfraKind.SIM, interface.SIMULATOR, one_line(error))
 
-    def _hear(self, topic: Topic, read: Callable[[Any], Any], given: Any) -> None:
-        self._attempt(lambda run: run.hear(topic, read(given)))
+    def _on_message(self, topic: Topic, read: Callable[[Any], Any], given: Any) -> None:
+        self._attempt(lambda run: run.on_message(topic, read(given)))
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
         """A supervisor reports the death of a node, possibly of this one."""

@@ -163,48 +163,48 @@ class ActiveRun(LiveGraph):
         ))
         node.say(interface.RUN_STATUS, self.status(RunStatus.PREPARING))
 
-    def hear(self, topic: topics.Topic, said: Any) -> None:
+    def on_message(self, topic: topics.Topic, message: Any) -> None:
         """Take a message of a topic that the simulator listens to.
 
         Raises:
             InfraError: its node does not keep to the protocol.
         """
-        if said.run_id != self.run_id:
+        if message.run_id != self.run_id:
             return
         if topic is interface.NODE_STATUS:
-            self._hear_status(said)
+            self._on_status(message)
         elif not self.steps.started:
             pass  # before its first step a run has nothing to answer
         elif topic is interface.ESTIMATE:
-            self.steps.estimate(said.seq, said.stamp_ns, said.value)
+            self.steps.estimate(message.seq, message.stamp_ns, message.value)
         elif topic is interface.COMMAND:
-            self.steps.command(said.seq, said.stamp_ns, said.value)
+            self.steps.command(message.seq, message.stamp_ns, message.value)
         elif topic is interface.PROGRESS:
-            self.steps.progress(said.value, said.seq, said.stamp_ns)
+            self.steps.progress(message.value, message.seq, message.stamp_ns)
         elif topic is interface.VERDICT:
-            self.verdict = said
-            self.steps.judged(said)
+            self.verdict = message
+            self.steps.judged(message)
 
-    def _hear_status(self, said: NodeStatus) -> None:
-        recorder = said.node == interface.RECORDER
-        if said.state == NodeStatus.READY and said.node in self.participants:
-            if not same_ready(self.ready.setdefault(said.node, said), said):
+    def _on_status(self, status: NodeStatus) -> None:
+        recorder = status.node == interface.RECORDER
+        if status.state == NodeStatus.READY and status.node in self.participants:
+            if not same_ready(self.ready.setdefault(status.node, status), status):
                 words = 'two different nodes have this name'
-                raise InfraError(InfraKind.INTRUDER, said.node, -1, words)
-            self.listens[said.node] = set(said.listens)
-            if said.node == interface.PERCEPTION:
+                raise InfraError(InfraKind.INTRUDER, status.node, -1, words)
+            self.listens[status.node] = set(status.listens)
+            if status.node == interface.PERCEPTION:
                 self.perception = {
-                    'perception': said.implementation, 'fingerprint': said.fingerprint,
+                    'perception': status.implementation, 'fingerprint': status.fingerprint,
                 }
-            self.steps.ready(said.node)
-        elif said.state == NodeStatus.ERROR:
-            blame = parse_blame(said.detail)
+            self.steps.ready(status.node)
+        elif status.state == NodeStatus.ERROR:
+            blame = parse_blame(status.detail)
             if blame is not None and blame[0] == InfraKind.INTRUDER and not self.steps.started:
                 return  # a node started again; all publishers are checked before the start
             kind = InfraKind.BAG if recorder else InfraKind.NODE_ERROR
-            self.steps.fail(*(blame or (kind, said.node, said.detail)))
-        elif said.state == NodeStatus.DONE and recorder:
-            self.steps.recorded(said.detail, said.seq)
+            self.steps.fail(*(blame or (kind, status.node, status.detail)))
+        elif status.state == NodeStatus.DONE and recorder:
+            self.steps.recorded(status.detail, status.seq)
 
     # See :class:`LiveGraph` --------------------------------------------------------------------
 

@@ -179,6 +179,28 @@ def test_given_a_command_that_is_none_then_it_is_an_error_of_the_controller(grap
         graph.run.command(0, 0, command)
 
 
+@pytest.mark.parametrize(('seq', 'stamp_ns', 'words'), [
+    (1, STEP_NS, 'answered frame 1, which is not out yet'),
+    (0, 7, 'its answer to frame 0 is stamped 7e-09 s'),
+    (0, STEP_NS, 'its answer to frame 0 is stamped 0.1 s'),
+])
+def test_given_an_answer_to_no_frame_then_its_node_is_charged(graph, seq, stamp_ns, words):
+    graph.get_ready()
+    with pytest.raises(InfraError, match=words):
+        graph.run.estimate(seq, stamp_ns, ERROR)
+    graph.run.estimate(0, 0, ERROR)
+    graph.run.command(seq, stamp_ns, GO)
+    graph.now_s = 1.1
+    graph.run.watch()
+    assert graph.run.ending[2:] == ('protocol', STEERING_CONTROLLER, words)
+
+
+def test_given_a_follower_that_is_ahead_of_time_then_it_is_charged(graph):
+    graph.get_ready()
+    with pytest.raises(InfraError, match='has come to frame 5, which is not out yet'):
+        graph.run.progress(MTL_MONITOR, 5, 0)
+
+
 def test_given_a_wrong_command_that_repeats_the_estimate_then_the_perception_is_charged(graph):
     graph.get_ready()
     graph.run.command(1, STEP_NS, GO)
