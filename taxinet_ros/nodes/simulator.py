@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -19,10 +19,10 @@ from rclpy.node import Node
 from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.core import topics
-from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, Timing, free_timing, parse_latency
+from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, timing_of
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.core.world import find_world
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep import diagnostics
@@ -36,12 +36,9 @@ from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, 
 from taxinet_ros.registry import CAMERAS, KMWH, WORLDS, names
 
 _WATCH_PERIOD_S = 0.1
-_FREE_TICK_S = 0.001
-"""Polling period for the next frame [s]: a hundredth of a step in real time."""
-_DELIVERY_S = 0.3
-"""Time [s] for delivery of the last answer before this node leaves the graph."""
-_STALLED_S = 1.0
-"""Step duration [s] above which the missing nodes count as awaited."""
+_FREE_TICK_S = 0.001  # a hundredth of a step in real time
+_DELIVERY_S = 0.3  # for the last answer, before this node leaves the graph
+_STALLED_S = 1.0  # duration of a step above which the missing nodes count as awaited
 _RESULT_KEPT_S = 10  # rclpy would keep those of 15 minutes, and list them at each change
 
 _OPTIONS = (
@@ -94,7 +91,6 @@ class Simulator(Node):
         world: the world of its runs.
         answer_timeout_s, ready_timeout_s: its parameters [s].
         ends: its publishers and subscriptions.
-        speakers: its publishers by topic name.
         transforms: publishes the frames of tf2.
         pace: figures of its frames and runs.
     """
@@ -105,7 +101,9 @@ class Simulator(Node):
         given = declare_all(self, _OPTIONS)
         self.answer_timeout_s = given['answer_timeout']
         self.ready_timeout_s = given['ready_timeout']
-        self.timing = _timing(given)
+        self.timing = timing_of(
+            given['latency'], lockstep=given['lockstep'], factor=given['real_time_factor']
+        )
         self.world = find_world(given['world'], given['world_sha256'])
         self.pace = RunHealth()
         Diagnostics(self, self.health)
@@ -114,7 +112,6 @@ class Simulator(Node):
         self._leaving = False
         self._may_leave_s = 0.0
         self.ends = domain.Endpoints(self, self._on_second_publisher)
-        self.speakers = self.ends.speakers
         for topic in interface.TOPICS:
             if interface.SIMULATOR in topic.publishers:
                 self.ends.speak(topic)
@@ -137,14 +134,14 @@ class Simulator(Node):
 
     def say(self, topic: topics.Topic, message: Any) -> None:
         """Publish on a topic of the table."""
-        self.speakers[topic.name].publish(message)
+        self.ends.speakers[topic.name].publish(message)
 
     def may_leave(self) -> bool:
         """Whether the current run has ended as INTERRUPTED, or all other nodes have left."""
         self._leaving = True
         if self._run is not None:
             self._run.steps.cancel()
-        alone = not self.speakers[interface.SCENARIO.name].get_subscription_count()
+        alone = not self.ends.speakers[interface.SCENARIO.name].get_subscription_count()
         return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
 
     def waits_for(self) -> Iterable[str]:
@@ -165,19 +162,18 @@ class Simulator(Node):
     # The action ------------------------------------------------------------------------------
 
     def _accept(self, goal: Any) -> GoalResponse:
-        busy = self._leaving or self._run is not None
-        if busy:
-            self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
-        return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
+        if not self._leaving and self._run is None:
+            return GoalResponse.ACCEPT
+        self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
+        return GoalResponse.REJECT
 
     def _cancel(self, goal: Any) -> CancelResponse:
         """Refuse to cancel a run that is over, since a cancelled run gets no verdict."""
         run = self._run
-        if run is None or run.goal is not goal:
-            return CancelResponse.ACCEPT  # seen when it begins
-        if run.steps.ending is not None:
-            return CancelResponse.REJECT
-        run.steps.cancel()
+        if run is not None and run.goal is goal:  # otherwise it is seen when the run begins
+            if run.steps.ending is not None:
+                return CancelResponse.REJECT
+            run.steps.cancel()
         return CancelResponse.ACCEPT
 
     async def _execute(self, goal: Any) -> Any:
@@ -192,17 +188,14 @@ class Simulator(Node):
         if goal.is_cancel_requested:
             run.steps.cancel()
         run.prepare()
-        result.timing = self.timing.words
         result.status = await run.done
-        result.account = run.account
-        judged = Outcome(result.status.outcome).judged
-        if judged:
-            result.verdict = run.verdict
+        result.timing, result.account = self.timing.words, run.account
         self._run = None
         run.close()
         self.pace.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
-        if judged:
+        if Outcome(result.status.outcome).judged:
+            result.verdict = run.verdict
             goal.succeed()
         elif goal.is_cancel_requested:
             goal.canceled()
@@ -241,26 +234,6 @@ class Simulator(Node):
     def _watch(self) -> None:
         self._attempt(lambda run: run.goal.publish_feedback(run.feedback()))
         self._attempt(lambda run: run.steps.watch())
-
-
-def _timing(given: Mapping[str, Any]) -> Timing:
-    """Timing from the parameters.
-
-    Raises:
-        UsageError: one of them has no effect with another.
-    """
-    timing, factor = parse_latency([given['latency']]), given['real_time_factor']
-    if given['lockstep']:
-        if factor != 1.0:
-            raise UsageError(
-                'simulator: real_time_factor: no effect in lockstep; set lockstep false'
-            )
-        return timing
-    if timing.laws:
-        raise UsageError(
-            f'simulator: latency {timing.latency}: no effect in a free run, which has real delays'
-        )
-    return free_timing(f'{factor!r}')
 
 
 def main() -> None:

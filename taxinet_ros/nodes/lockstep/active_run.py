@@ -215,7 +215,7 @@ class ActiveRun(LiveGraph):
     def observe(self) -> Observation:
         """Look at the world; rendering is the slowest part, so only for subscribers."""
         self._begun_s = time.perf_counter()
-        looked_at = self._node.speakers[interface.IMAGE.name].get_subscription_count() > 0
+        looked_at = self._node.ends.speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = self.world.observe(picture=looked_at)
         for who in sorted(self.listeners(interface.IMAGE)):
             check_picture(now, who)
