@@ -13,7 +13,7 @@ from taxinet_ros.bag.errors import BagCorrupt, BagError
 from taxinet_ros.bag.reader import BagInfo, read_info, stored_messages
 from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, SCENARIO, TF, is_topic
 from taxinet_ros.bag.storage.reader import StoredMessage
-from taxinet_ros.bag.topics import TopicInfo, describe_topic
+from taxinet_ros.bag.topics import TopicInfo, describe_topic, qos_profiles
 from taxinet_ros.core import topics
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -101,6 +101,33 @@ def known_topics(
         )
         raise UsageError(f'bag_player: {parameter}: {info.path} has no topic {name}; {known}')
     return wanted
+
+
+_MOST_HELD = 1000
+"""Maximum history depth taken from a bag, since it costs memory of the player."""
+_POLICIES = {
+    'history': ('keep_last', 'keep_all'), 'reliability': ('reliable', 'best_effort'),
+    'durability': ('transient_local', 'volatile'),
+}
+
+
+def recorded_quality(topic: TopicInfo) -> topics.Quality:
+    """Quality of service of the first recorded publisher; by default reliable and volatile.
+
+    A policy is a name (rosbag2's metadata from version 9 on) or a number from 1 (before).
+    """
+    try:
+        recorded = next(iter(qos_profiles(topic.qos)), {})
+    except ValueError:
+        recorded = {}
+    depth = recorded.get('depth')
+    return topics.Quality(
+        depth=min(max(depth, 1), _MOST_HELD) if isinstance(depth, int) else 10,
+        **{
+            name: word for name, words in _POLICIES.items()
+            for number, word in enumerate(words, 1) if recorded.get(name) in (word, number)
+        },
+    )
 
 
 Check = Callable[[bytes], None]

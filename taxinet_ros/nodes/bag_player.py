@@ -17,7 +17,6 @@ from rclpy.clock import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
@@ -30,11 +29,11 @@ from taxinet_ros.bag.playback import (
     known_topics,
     message_check,
     open_bag,
+    recorded_quality,
     window,
     without_transforms,
 )
 from taxinet_ros.bag.run.topics import TF, is_of_frames
-from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes import interface
@@ -44,11 +43,6 @@ from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
 from taxinet_ros.processes.interrupts import interrupts
 
-_MOST_HELD = 1000
-"""Maximum history depth taken from a bag, since it costs memory of this process."""
-_POLICIES: dict[str, Any] = {
-    'history': HistoryPolicy, 'reliability': ReliabilityPolicy, 'durability': DurabilityPolicy,
-}
 _TICK_S = 0.002
 _DELIVERY_S = 5.0
 _MOST_AT_ONCE = 8
@@ -94,30 +88,6 @@ USAGE = Usage(
         ),
     ),
 )
-
-
-def recorded_qos(topic: TopicInfo) -> QoSProfile:
-    """QoS offered by the first recorded publisher; unknown policies are reliable and volatile."""
-    try:
-        recorded = next(iter(qos_profiles(topic.qos)), {})
-    except ValueError:
-        recorded = {}
-    depth = recorded.get('depth')
-    policies = {name: _policy(kind, recorded.get(name)) for name, kind in _POLICIES.items()}
-    return QoSProfile(
-        depth=min(max(depth, 1), _MOST_HELD) if isinstance(depth, int) else 10,
-        **{name: policy for name, policy in policies.items() if policy is not None},
-    )
-
-
-def _policy(kind: Any, recorded: object) -> Any:
-    """A policy by name (rosbag2's metadata from version 9 on) or by number (before)."""
-    for policy in kind:
-        if recorded in (policy.name.lower(), int(policy)) and policy.name not in (
-            'UNKNOWN', 'SYSTEM_DEFAULT', 'BEST_AVAILABLE',
-        ):
-            return policy
-    return None
 
 
 class BagPlayer(Node):
@@ -198,12 +168,14 @@ class BagPlayer(Node):
                 self.get_logger().warning(f'skipping {topic.name}: {topic.type or "no type"} {why}')
                 continue
             self._checks[topic.name] = check
-            qos = recorded_qos(topic)
-            if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            quality = recorded_quality(topic)
+            if quality.latched:
                 self._latched.add(topic.name)
             package, _, name = topic.type.split('/')
             kind = getattr(importlib.import_module(f'{package}.msg'), name)
-            publishers[topic.name] = self.create_publisher(kind, _relative(topic.name), qos)
+            publishers[topic.name] = self.create_publisher(
+                kind, _relative(topic.name), interface.qos_profile(quality)
+            )
         if not publishers:
             raise UsageError(f'bag_player: no playable topics left in {self._info.path} to play')
         clock, self._own_clock = interface.CLOCK, None

@@ -38,8 +38,7 @@ from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, 
 from taxinet_ros.trials.options import IMAGES
 from taxinet_ros.trials.record.facts import program_attachment
 
-_LOOK_S = 0.05
-"""Period [s] of looks for messages that may follow the end of an aborted run."""
+_LOOK_S = 0.05  # between looks for messages that may follow the end of an aborted run
 _REPORTS_KEPT = 32  # more than all nodes say in one run
 _DRAINED_LOOKS, _DEAF_LOOKS = 4, 80
 """Looks without a message after which this node may leave: without and with a simulator."""

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from taxinet_ros.bag.errors import BagCorrupt
-from taxinet_ros.bag.playback import Playback, message_check, open_bag, window
-from taxinet_ros.bag.topics import TopicInfo
+from taxinet_ros.bag.playback import Playback, message_check, open_bag, recorded_quality, window
+from taxinet_ros.bag.topics import TopicInfo, offered_qos
+from taxinet_ros.core.topics import Quality
 from taxinet_ros.errors import UsageError
 
 GOLDEN = Path(__file__).parents[2] / 'bags' / 'golden' / 'truth-nominal'
@@ -115,3 +116,16 @@ def test_given_a_type_that_is_not_installed_then_nothing_is_imported_for_it():
     assert 'antigravity' not in sys.modules
     with pytest.raises(UsageError, match='another version'):
         message_check(topic(type_hash='RIHS01_' + '0' * 64))
+
+
+def test_given_recorded_qualities_of_service_then_they_are_offered_again():
+    text = offered_qos(
+        history='keep_last', depth=7, reliability='best_effort', durability='transient_local'
+    )
+    latched = Quality(depth=7, reliability='best_effort', durability='transient_local')
+    assert recorded_quality(topic(qos=text)) == latched
+    old = recorded_quality(topic(qos='- {history: 1, depth: 7, reliability: 2, durability: 1}'))
+    assert old == latched
+    strange = recorded_quality(topic(qos='- {depth: 999999999, durability: unknown}'))
+    assert strange == Quality(depth=1000)
+    assert recorded_quality(topic(qos='')) == Quality(depth=10)

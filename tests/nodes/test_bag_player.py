@@ -14,7 +14,7 @@ from graph_runs import parameters, spin, start_node
 from mcap.writer import Writer
 from playing import listening, make_player, playing
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
@@ -22,10 +22,9 @@ from std_srvs.srv import SetBool
 
 from taxinet_ros.bag.playback import open_bag, portions, window
 from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.bag.topics import TopicInfo, is_type_name, message_definition, offered_qos
+from taxinet_ros.bag.topics import is_type_name, message_definition
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.bag_player import recorded_qos
 
 pytestmark = pytest.mark.ros
 
@@ -262,27 +261,3 @@ def test_a_start_offset_that_is_set_while_it_plays_is_where_it_goes_on(bag):
         assert taken.successful
         assert player.play(executor) == 0
         spin(executor, lambda: len(listener.heard[odometry.name]) == 6)
-
-
-def topic(**more) -> TopicInfo:
-    values = {
-        'name': '/t', 'type': 'std_msgs/msg/Header', 'qos': '', 'definition': '', 'type_hash': '',
-    }
-    return TopicInfo(**{**values, **more})
-
-
-def test_given_recorded_qualities_of_service_then_they_are_offered_again():
-    text = offered_qos(
-        history='keep_last', depth=7, reliability='best_effort', durability='transient_local'
-    )
-    qos = recorded_qos(topic(qos=text))
-    assert (qos.depth, qos.reliability, qos.durability) == (
-        7, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
-    )
-    old = recorded_qos(topic(qos='- {history: 1, depth: 3, reliability: 2, durability: 1}'))
-    assert (old.depth, old.reliability, old.durability) == (
-        3, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
-    )
-    strange = recorded_qos(topic(qos='- {depth: 999999999, durability: unknown}'))
-    assert (strange.depth, strange.durability) == (1000, DurabilityPolicy.VOLATILE)
-    assert recorded_qos(topic(qos='')).depth == 10
