@@ -25,6 +25,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import BESIDE, PARTICIPANTS
 from taxinet_ros.nodes.lockstep.sampler import PATIENCE, ScenarioSampler
 from taxinet_ros.nodes.names import check_participants
+from taxinet_ros.nodes.running.domain import nodes_present
 from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
 from taxinet_ros.nodes.running.parameters import (
     Parameter,
@@ -203,7 +204,7 @@ class StandaloneSampler(ScenarioSampler):
 
     def drive(self, executor: Any, engine: Engine[Any]) -> str:
         """Make the runs of a campaign one by one; return why the graph is unusable, or ''."""
-        if self._in_graph().count(self.get_name()) > 1:
+        if nodes_present(self).count(self.get_name()) > 1:
             return _RIVAL
         broken: set[int] = set()
         trouble = ''
@@ -233,7 +234,7 @@ class StandaloneSampler(ScenarioSampler):
         """Tell a graph that is unusable from a run that failed: why it is, or ''."""
         if result.kind == InfraKind.BUSY:
             # The simulator may have been found before the sampler that it works for.
-            return _RIVAL if self._in_graph().count(self.get_name()) > 1 else (
+            return _RIVAL if nodes_present(self).count(self.get_name()) > 1 else (
                 "the simulator is busy with another client's run; wait for its end, or give each "
                 'graph its own ROS_DOMAIN_ID'
             )
@@ -242,7 +243,7 @@ class StandaloneSampler(ScenarioSampler):
         if result.who == interface.SIMULATOR:
             near = 'the same ROS_DOMAIN_ID and discovery range'
             return f'simulator: {result.detail}; start it with {near}'
-        seen = self._in_graph()
+        seen = nodes_present(self)
         if absent := ', '.join(name for name in self.participants if name not in seen):
             return f'{absent}: not in the graph; start it, or correct the parameter participants'
         return f'{result.who}: {result.detail}; see their output'
@@ -257,10 +258,6 @@ class StandaloneSampler(ScenarioSampler):
         # A replay's has no folder.
         if (status.state, status.node) == (NodeStatus.READY, interface.RECORDER) and status.detail:
             self.bags = status.detail
-
-    def _in_graph(self) -> list[str]:
-        nodes = self.get_node_names_and_namespaces()
-        return [name for name, namespace in nodes if namespace == self.get_namespace()]
 
 
 @contextlib.contextmanager

@@ -409,6 +409,12 @@ def simulators(node: Node) -> dict[End, str]:
     return {tuple(end.endpoint_gid): str(end.node_name) for end in ends}
 
 
+def nodes_present(node: Node) -> list[str]:
+    """Names of all nodes in the namespace of a node, itself included; a second one counts twice."""
+    nodes = node.get_node_names_and_namespaces()
+    return [name for name, namespace in nodes if namespace == node.get_namespace()]
+
+
 def fits(offered: Any, asked: Any) -> bool:
     """Whether these QoS profiles of a publisher and a subscription are compatible."""
     return bool(qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR)
