@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.topics import TOPICS, TRANSFORMS
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.lockstep.endpoints import fits
+from taxinet_ros.nodes.running.domain import fits
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

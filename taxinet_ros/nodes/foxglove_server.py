@@ -24,12 +24,7 @@ from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.observer import Observer
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
-from taxinet_ros.nodes.scene_markers import (
-    MovingMarkers,
-    ground_markers,
-    ground_of,
-    other_ground_markers,
-)
+from taxinet_ros.nodes.scene_markers import MovingMarkers, ground_markers
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -83,7 +78,6 @@ class FoxgloveServer(Observer):
         topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]
         topics += interface.TRANSFORMS
         self._channels = {topic.name: self._channel(topic) for topic in (*topics, *interface.SCENE)}
-        self._ground = ground_of(Scene())
         self._say(interface.SCENE_RUNWAY, serialize_message(ground_markers(Scene())), 0)
         for topic in topics:
             self.watch(topic, functools.partial(self._pass_on, topic), raw=True)
@@ -151,11 +145,9 @@ class FoxgloveServer(Observer):
             self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
 
     def _change_scene(self, cdr: bytes) -> None:
-        scene = scenario_of(deserialize_message(cdr, Scenario))
-        self._moving.change(scene)
-        if ground_of(scene) != self._ground:
-            self._ground = ground_of(scene)
-            self._say(interface.SCENE_RUNWAY, serialize_message(other_ground_markers(scene)), 0)
+        ground = self._moving.change(scenario_of(deserialize_message(cdr, Scenario)))
+        if ground is not None:
+            self._say(interface.SCENE_RUNWAY, serialize_message(ground), 0)
 
     def _say(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
         if topic.quality.latched:

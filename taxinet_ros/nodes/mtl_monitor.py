@@ -23,6 +23,7 @@ from taxinet_ros.core.control_step import (
 )
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.lockstep import reports_progress
+from taxinet_ros.core.pacing.step_collector import FreeProgress, StepCollector
 from taxinet_ros.core.types import NO_ESTIMATE
 from taxinet_ros.core.verdict.judge import Judge
 from taxinet_ros.core.verdict.judging import Judging, StopOn
@@ -30,23 +31,16 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import header, robustness_message
-from taxinet_ros.nodes.messages.step import FreeProgress, StepCollector, StepMessage
+from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import (
-    Usage,
-    published_topics,
-    refuse_unknown,
-    subscribed_topics,
-)
+from taxinet_ros.nodes.running.parameters import Usage, refuse_unknown
 
 _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
 
-USAGE = Usage(
-    executable=interface.MTL_MONITOR,
+USAGE = Usage.of_node(
+    interface.MTL_MONITOR,
     does='Evaluates each run of the graph by its formulas. For topics of any robot, without a '
     'simulator, there is live_monitor.',
-    publishes=published_topics(interface.MTL_MONITOR),
-    subscribes=subscribed_topics(interface.MTL_MONITOR),
     parameters=(diagnostics.PARAMETER,),
 )
 
@@ -85,7 +79,7 @@ class MtlMonitor(Participant):
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False
         followed = interface.ODOMETRY, interface.TRUTH, interface.TIMING
-        self._free_progress = FreeProgress(followed)
+        self._free_progress = FreeProgress([topic.name for topic in followed])
         self._judged = 0
         self._command = rolling_on(scene.speed_mps)
         self._readings = ()
@@ -117,7 +111,7 @@ class MtlMonitor(Participant):
         if timing.run_id != self.run_id or timing.ended:
             return
         self._free = True
-        for step, messages in self._steps.settle(timing):
+        for step, messages in self._steps.settle(timing.unestimated, timing.uncommanded):
             self._judge_step(step, messages)
         self._free_progress.arrived(interface.TIMING.name, timing.seq)
         self._report_free()

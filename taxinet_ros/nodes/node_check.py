@@ -34,6 +34,7 @@ from taxinet_ros.core import topics
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
 from taxinet_ros.core.motion.aircraft import Aircraft
+from taxinet_ros.core.pacing.stepped_run import subnormal
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judging import Judging
@@ -42,10 +43,9 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import CHILDREN_LEFT
 from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.lockstep.endpoints import NAMELESS, heard_by
 from taxinet_ros.nodes.messages.convert import header, same_ready, scenario_message
-from taxinet_ros.nodes.messages.step import StepMessage, step_reader, subnormal
-from taxinet_ros.nodes.running.domain import own_domain, require_discovery
+from taxinet_ros.nodes.messages.step import StepMessage, step_reader
+from taxinet_ros.nodes.running.domain import NAMELESS, heard_by, own_domain, require_discovery
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_for
 

@@ -31,14 +31,7 @@ from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import header
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import (
-    Parameter,
-    Usage,
-    declare_all,
-    published_topics,
-    refuse_unknown,
-    subscribed_topics,
-)
+from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
 
 _MOST_HELD = 64
 """Most frames and messages that wait for others of their step."""
@@ -52,12 +45,10 @@ _OPTIONS = (
         description='the monitor',
     ),
 )
-USAGE = Usage(
-    executable=interface.RUNTIME_MONITOR,
+USAGE = Usage.of_node(
+    interface.RUNTIME_MONITOR,
     does='Judges each estimate of any perception beside any controller, and publishes scores and '
     'alarm; nothing acts on them. Beside bag_player too.',
-    publishes=published_topics(interface.RUNTIME_MONITOR),
-    subscribes=subscribed_topics(interface.RUNTIME_MONITOR),
     parameters=(*_OPTIONS, DIAGNOSTICS),
 )
 

@@ -10,7 +10,7 @@ import contextlib
 import importlib
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from typing import Any
 from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import ExitCode, InfraKind, UsageError
@@ -26,6 +25,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import BESIDE, PARTICIPANTS
 from taxinet_ros.nodes.lockstep.sampler import PATIENCE, ScenarioSampler
 from taxinet_ros.nodes.names import check_participants
+from taxinet_ros.nodes.running.domain import nodes_present
 from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
 from taxinet_ros.nodes.running.parameters import (
     Parameter,
@@ -39,7 +39,6 @@ from taxinet_ros.samplers.registry import SAMPLERS
 from taxinet_ros.trials.campaign import ProgramOrder, exit_code
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions, make_options
-from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.requirements import DEFAULT_SPECS
 from taxinet_ros.trials.search import Search, make_search
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
@@ -203,14 +202,51 @@ class StandaloneSampler(ScenarioSampler):
         settled = self._found_s and now - self._found_s > _SETTLED_S
         return bool(settled) or now - self._asked > _RECORDER_S
 
-    def rivals(self) -> int:
-        """Number of other samplers found in this graph."""
-        return self._in_graph().count(self.get_name()) - 1
+    def drive(self, executor: Any, engine: Engine[Any]) -> str:
+        """Make the runs of a campaign one by one; return why the graph is unusable, or ''."""
+        if nodes_present(self).count(self.get_name()) > 1:
+            return _RIVAL
+        broken: set[int] = set()
+        trouble = ''
 
-    def absent(self) -> list[str]:
-        """Participants not found in this graph."""
-        seen = self._in_graph()
-        return [name for name in self.participants if name not in seen]
+        def take(request: RunRequest, result: RunResult) -> bool:
+            nonlocal trouble
+            # If the second attempt at a run finds no graph, the run may have broken it, so that is
+            # its result.
+            if result.outcome is Outcome.INFRA_ERROR and request.index not in broken:
+                trouble = self._trouble(result)
+                if trouble:
+                    return False
+                broken.add(request.index)
+            recorded = interface.RECORDER in request.participants
+            engine.take(request, replace(result, bags=self.bags if recorded else ''))
+            return True
+
+        spin_until(executor, self.start(executor, iter(engine.next, None), take))
+        return trouble
+
+    def say(self, lines: Iterable[str]) -> None:
+        """Print lines."""
+        for line in lines:
+            self.get_logger().info(line.rstrip())
+
+    def _trouble(self, result: RunResult) -> str:
+        """Tell a graph that is unusable from a run that failed: why it is, or ''."""
+        if result.kind == InfraKind.BUSY:
+            # The simulator may have been found before the sampler that it works for.
+            return _RIVAL if nodes_present(self).count(self.get_name()) > 1 else (
+                "the simulator is busy with another client's run; wait for its end, or give each "
+                'graph its own ROS_DOMAIN_ID'
+            )
+        if result.kind != InfraKind.NOT_READY:
+            return ''
+        if result.who == interface.SIMULATOR:
+            near = 'the same ROS_DOMAIN_ID and discovery range'
+            return f'simulator: {result.detail}; start it with {near}'
+        seen = nodes_present(self)
+        if absent := ', '.join(name for name in self.participants if name not in seen):
+            return f'{absent}: not in the graph; start it, or correct the parameter participants'
+        return f'{result.who}: {result.detail}; see their output'
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
         """The supervisor of the simulator's process reports its death at once."""
@@ -222,10 +258,6 @@ class StandaloneSampler(ScenarioSampler):
         # A replay's has no folder.
         if (status.state, status.node) == (NodeStatus.READY, interface.RECORDER) and status.detail:
             self.bags = status.detail
-
-    def _in_graph(self) -> list[str]:
-        nodes = self.get_node_names_and_namespaces()
-        return [name for name, namespace in nodes if namespace == self.get_namespace()]
 
 
 @contextlib.contextmanager
@@ -244,140 +276,52 @@ _RIVAL = (
 )
 
 
-def run_standalone() -> None:
-    """Sample, run and tabulate as the parameters say, then exit."""
-    run_node(StandaloneSampler, _work, usage=USAGE)
-
-
 def _work(node: StandaloneSampler, executor: Any) -> int:
+    """Sample, run and tabulate as the parameters say."""
     # Needed to write the table; after Ctrl-C, ``ros2 launch`` waits only 5 s.
     for name in ('pandas', 'pyarrow.parquet'):
         importlib.import_module(name)
     with parameter_words():
-        if node.search is not None:
-            return _search(node, executor, node.search)
-        return _campaign(node, executor)
+        return _run(node, executor)
 
 
-def _campaign(node: StandaloneSampler, executor: Any) -> int:
-    """Run scenes drawn by the program, as ``taxinet run``."""
-    scenes = ProgramOrder(node.campaign)
-    engine = Engine(scenes, node.participants, _shown(node))
-    with _interruptible(node, engine), engine:
-        _say(node, [
-            campaign_heading(node.campaign), *scenes.notes, *_plain_requirements(scenes.check),
-        ])
-        answers = _drive(node, executor, engine)
-    found = engine.summary
-    if found:
-        _say(node, campaign_summary(found, node.campaign).splitlines())
-    if answers.trouble:
-        return complain(answers.trouble, ExitCode.INFRA)
-    if node.interrupted and len(found) < node.campaign.runs:
-        return ExitCode.INTERRUPTED
-    return exit_code(found)
-
-
-def _search(node: StandaloneSampler, executor: Any, search: Search) -> int:
-    """Run scenes chosen by a sampler, as ``taxinet falsify``."""
-    engine = Engine(search, node.participants, _shown(node))
+def _run(node: StandaloneSampler, executor: Any) -> int:
+    search, learned = node.search, []
+    proposer = search or ProgramOrder(node.campaign)
+    engine: Engine[Any] = Engine(
+        proposer, node.participants, lambda row: node.say([row_line(row).plain])
+    )
     resuming = f'-p resume:=true -p out:={engine.options.out}'
-    with _interruptible(node, engine), engine:
-        warning = [engine.book.warning] if engine.book.warning else []
-        _say(node, [*warning, *heading_lines(search), *_plain_requirements(search.check)])
-        answers = _drive(node, executor, engine)
-        learned = write_learned(engine)
-    if engine.rows or engine.interrupted:
-        _say(node, [*search_summary(engine, resuming), *learned])
-    if answers.trouble:
-        return complain(f'{answers.trouble}; continue with {resuming}', ExitCode.INFRA)
-    if engine.interrupted and len(engine.rows) < engine.options.runs:
-        return ExitCode.INTERRUPTED
-    return exit_code(engine.summary)
 
-
-def _plain_requirements(check: SpecCheck) -> list[str]:
-    return [line.plain for line in requirement_lines(check)]
-
-
-def _interruptible(
-    node: StandaloneSampler, engine: Engine[Any]
-) -> contextlib.AbstractContextManager[Any]:
     def interrupt() -> None:
         engine.interrupt()
         node.interrupt()
 
-    return interrupts(interrupt)
-
-
-def _drive(node: StandaloneSampler, executor: Any, engine: Engine[Any]) -> _Answers:
-    """Make the runs on the graph one by one."""
-    answers = _Answers(node, engine)
-    if node.rivals():
-        answers.trouble = _RIVAL
-    else:
-        spin_until(executor, node.start(executor, iter(engine.next, None), answers))
-    return answers
-
-
-class _Answers:
-    """Takes results from the graph, and distinguishes a failed run from a missing graph.
-
-    Attributes:
-        trouble: one line on why the graph is unusable, or ''.
-    """
-
-    def __init__(self, node: StandaloneSampler, engine: Engine[Any]) -> None:
-        self.trouble = ''
-        self._node = node
-        self._engine = engine
-        self._broken: set[int] = set()
-
-    def __call__(self, request: RunRequest, result: RunResult) -> bool:
-        """Take one result; False ends the campaign."""
-        infra = result.outcome is Outcome.INFRA_ERROR
-        # If the second attempt at a run finds no graph, the run may have broken it, so that is its
-        # result.
-        if infra and request.index not in self._broken:
-            self.trouble = _trouble(result, self._node)
-            if self.trouble:
-                return False
-            self._broken.add(request.index)
-        recorded = interface.RECORDER in request.participants
-        self._engine.take(request, replace(result, bags=self._node.bags if recorded else ''))
-        return True
-
-
-def _trouble(result: RunResult, node: StandaloneSampler) -> str:
-    if result.kind == InfraKind.BUSY:
-        # The simulator may have been found before the sampler that it works for.
-        return _RIVAL if node.rivals() else (
-            "the simulator is busy with another client's run; wait for its end, or give each "
-            'graph its own ROS_DOMAIN_ID'
-        )
-    if result.kind != InfraKind.NOT_READY:
-        return ''
-    if result.who == interface.SIMULATOR:
-        near = 'the same ROS_DOMAIN_ID and discovery range'
-        return f'simulator: {result.detail}; start it with {near}'
-    if absent := node.absent():
-        names = ', '.join(absent)
-        return f'{names}: not in the graph; start it, or correct the parameter participants'
-    return f'{result.who}: {result.detail}; see their output'
-
-
-def _shown(node: StandaloneSampler) -> Callable[[RunRow], None]:
-    return lambda row: _say(node, [row_line(row).plain])
-
-
-def _say(node: StandaloneSampler, lines: list[str]) -> None:
-    for line in lines:
-        node.get_logger().info(line.rstrip())
+    with interrupts(interrupt), engine:
+        if engine.book.warning:
+            node.say([engine.book.warning])
+        node.say([campaign_heading(node.campaign), *proposer.notes] if search is None
+                 else heading_lines(search))
+        node.say(line.plain for line in requirement_lines(proposer.check))
+        trouble = node.drive(executor, engine)
+        if search is not None:
+            learned = write_learned(engine)
+    found = engine.summary
+    if search is not None and (found or engine.interrupted):
+        node.say([*search_summary(engine, resuming), *learned])
+    elif found:
+        node.say(campaign_summary(found, node.campaign).splitlines())
+    if trouble:
+        more = '' if search is None else f'; continue with {resuming}'
+        return complain(trouble + more, ExitCode.INFRA)
+    if engine.interrupted and len(found) < engine.options.runs:
+        return ExitCode.INTERRUPTED
+    return exit_code(found)
 
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros scenario_sampler``."""
-    run_standalone()
+    run_node(StandaloneSampler, _work, usage=USAGE)
 
 if __name__ == '__main__':
     main()

@@ -61,12 +61,6 @@ def ground_markers(scene: Scenario) -> MarkerArray:
     return MarkerArray(markers=[pavement, *crossings, paint, *aside, *around, *others])
 
 
-def other_ground_markers(scene: Scenario) -> MarkerArray:
-    """The same markers, replacing those of another scene."""
-    markers = ground_markers(scene).markers
-    return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers])
-
-
 def _taxiway(track: Track, runway: Runway) -> list[Marker]:
     strip = track.strip(track.half_width_m)
     # The outline goes out on the right and comes back on the left: each two points of it make a
@@ -144,28 +138,33 @@ def _crossing(number: int, crossing: Crossing) -> Marker:
     return marker
 
 
-def ground_of(scene: Scenario) -> tuple[str, str, str]:
-    """What the markers of the ground depend on."""
-    return scene.place, scene.track, scene.traffic
-
-
 class MovingMarkers:
     """The aircraft with its path, and others on the ground that move, in the current run."""
 
     def __init__(self) -> None:
         """Start without a path, with the usual scene."""
+        self._ground: tuple[str, str, str] | None = None
         self.change(Scenario())
         self._cleared = True
         self._path = _marker('path', Marker.LINE_STRIP, _PATH)
         self._path.scale.x = _PATH_WIDTH_M
         self._last_ns = -1
 
-    def change(self, scene: Scenario) -> None:
-        """Draw the aircraft and the others of another scene from now on."""
+    def change(self, scene: Scenario) -> MarkerArray | None:
+        """Draw the aircraft and the others of another scene from now on.
+
+        Returns:
+            Markers that replace those of the ground before; None if it is the same.
+        """
         triangles = _aircraft_triangles(scene.aircraft_model)
         self._body = _triangles('aircraft', triangles, _AIRFRAME)
         self._others = [one for one in enumerate(scene.others.objects) if one[1].path]
         self._cleared = False
+        before, self._ground = self._ground, (scene.place, scene.track, scene.traffic)
+        if before == self._ground:
+            return None
+        markers = ground_markers(scene).markers
+        return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers])
 
     def markers(self, odometry: Odometry) -> MarkerArray:
         """Markers at an odometry message, in its frame; a jump back in time starts a new path."""
@@ -247,17 +246,13 @@ class SceneMarkers(Observer):
             for topic in interface.SCENE
         }
         self._moving = MovingMarkers()
-        self._ground = ground_of(Scenario())
         self._say(interface.SCENE_RUNWAY, ground_markers(Scenario()))
         self.watch(interface.ODOMETRY, self._draw)
         self.watch(interface.SCENARIO, self._change_scene)
 
     def _change_scene(self, message: Any) -> None:
-        scene = scenario_of(message)
-        self._moving.change(scene)
-        if ground_of(scene) != self._ground:
-            self._ground = ground_of(scene)
-            self._say(interface.SCENE_RUNWAY, other_ground_markers(scene))
+        if (ground := self._moving.change(scenario_of(message))) is not None:
+            self._say(interface.SCENE_RUNWAY, ground)
 
     def _draw(self, odometry: Odometry) -> None:
         self._say(interface.SCENE_AIRCRAFT, self._moving.markers(odometry))

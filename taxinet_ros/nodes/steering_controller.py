@@ -22,14 +22,7 @@ from taxinet_ros.nodes.lockstep.diagnostics import Health
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import (
-    Parameter,
-    Usage,
-    declare_all,
-    published_topics,
-    refuse_unknown,
-    subscribed_topics,
-)
+from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
 from taxinet_ros.registry import CONTROLLERS, names, origin_words
 
 _OPTIONS = (
@@ -51,12 +44,10 @@ _OPTIONS = (
     ),
 )
 
-USAGE = Usage(
-    executable=interface.STEERING_CONTROLLER,
+USAGE = Usage.of_node(
+    interface.STEERING_CONTROLLER,
     does='Publishes a taxi command for every estimate, computed by the shipped law or your '
     'function.',
-    publishes=published_topics(interface.STEERING_CONTROLLER),
-    subscribes=subscribed_topics(interface.STEERING_CONTROLLER),
     parameters=(*_OPTIONS, DIAGNOSTICS),
 )
 

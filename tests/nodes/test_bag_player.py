@@ -6,7 +6,6 @@ A perception that runs freely beside it answers as it did in the lockstep, to th
 from __future__ import annotations
 
 import signal
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,17 +14,17 @@ from graph_runs import parameters, spin, start_node
 from mcap.writer import Writer
 from playing import listening, make_player, playing
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
 
+from taxinet_ros.bag.playback import open_bag, portions, window
 from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.bag.topics import TopicInfo, is_type_name, message_definition, offered_qos
+from taxinet_ros.bag.topics import is_type_name, message_definition
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.bag_player import message_class, open_bag, portions, recorded_qos, window
 
 pytestmark = pytest.mark.ros
 
@@ -95,24 +94,6 @@ def test_given_a_window_when_played_then_it_is_that_part_after_what_was_latched_
     assert same(listener.heard['ground_truth/odom'], expected)
     assert same(listener.heard['scenario'], [m.cdr for m in read_messages(bag, ['/scenario'])])
     assert listener.heard['taxi_command'] == []
-
-
-def test_given_a_player_that_is_paused_when_it_goes_on_then_nothing_is_missing(bag):
-    odometry = interface.ODOMETRY
-    with (
-        listening(odometry) as (listener, executor, context),
-        playing(context, executor, bag, rate=10.0, wait_for=[odometry.name]) as player,
-    ):
-        client = listener.create_client(SetBool, '/bag_player/pause')
-        spin(executor, client.service_is_ready)
-        paused = client.call_async(SetBool.Request(data=True))
-        spin(executor, paused.done)
-        assert paused.result().message == 'paused'
-        goes_on = client.call_async(SetBool.Request(data=False))
-        assert player.play(executor) == 0
-        assert goes_on.done()
-        spin(executor, lambda: len(listener.heard[odometry.name]) == STEPS)
-        client.destroy()
 
 
 def test_given_a_pause_amid_the_run_when_it_goes_on_then_the_rest_follows(bag):
@@ -280,34 +261,3 @@ def test_a_start_offset_that_is_set_while_it_plays_is_where_it_goes_on(bag):
         assert taken.successful
         assert player.play(executor) == 0
         spin(executor, lambda: len(listener.heard[odometry.name]) == 6)
-
-
-def topic(**more) -> TopicInfo:
-    values = {
-        'name': '/t', 'type': 'std_msgs/msg/Header', 'qos': '', 'definition': '', 'type_hash': '',
-    }
-    return TopicInfo(**{**values, **more})
-
-
-def test_given_recorded_qualities_of_service_then_they_are_offered_again():
-    text = offered_qos(
-        history='keep_last', depth=7, reliability='best_effort', durability='transient_local'
-    )
-    qos = recorded_qos(topic(qos=text))
-    assert (qos.depth, qos.reliability, qos.durability) == (
-        7, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
-    )
-    old = recorded_qos(topic(qos='- {history: 1, depth: 3, reliability: 2, durability: 1}'))
-    assert (old.depth, old.reliability, old.durability) == (
-        3, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
-    )
-    strange = recorded_qos(topic(qos='- {depth: 999999999, durability: unknown}'))
-    assert (strange.depth, strange.durability) == (1000, DurabilityPolicy.VOLATILE)
-    assert recorded_qos(topic(qos='')).depth == 10
-
-
-def test_given_a_type_that_is_not_installed_then_nothing_is_imported_for_it():
-    assert message_class(topic(type='antigravity/msg/Header')) is None
-    assert 'antigravity' not in sys.modules
-    with pytest.raises(UsageError, match='another version'):
-        message_class(topic(type_hash='RIHS01_' + '0' * 64))

@@ -1,4 +1,4 @@
-"""What a supervisor tells of deaths, in whatever order it hears of runs and deaths."""
+"""What a supervisor tells of runs, and what it tells them."""
 
 from __future__ import annotations
 
@@ -23,31 +23,23 @@ class Stage:
         self.node, self.others = (Node(name, context=spinning.context) for name in names)
         self.lines: list[str] = []
         self.mourned: list[tuple[str, str, str]] = []
-        self.watch = RunWatch(self.node, self.lines.append)
+        self.silent: list[str] = []
+        self.watch = RunWatch(self.node, self.lines.append, self.silent.append)
         self._executor = spinning.executor
-        self._publishers: dict[type, Any] = {}
-        for topic in (interface.RUN_STATUS, interface.NODE_STATUS):
-            publisher = self.others.create_publisher(topic.type, topic.name, topic.qos)
-            self._publishers[topic.type] = publisher
+        runs = interface.RUN_STATUS
+        self._publisher = self.others.create_publisher(runs.type, runs.name, runs.qos)
         topic = interface.OBITUARY
         self.others.create_subscription(topic.type, topic.name, self._on_death_notice, topic.qos)
         for node in (self.node, self.others):
             spinning.add(node)
-        self.until(lambda: all(p.get_subscription_count() for p in self._publishers.values())
+        self.until(lambda: self._publisher.get_subscription_count()
                    and self.node.count_subscribers(topic.name) == 2)
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
         self.mourned.append((notice.run_id, notice.node, notice.detail))
 
-    def say(self, message: Any) -> None:
-        self._publishers[type(message)].publish(message)
-
-    def start_again(self) -> None:
-        """A new end of the simulator joins the graph."""
-        topic = interface.RUN_STATUS
-        self._publishers[RunStatus] = self.others.create_publisher(
-            topic.type, topic.name, topic.qos)
-        self.until(lambda: self.node.count_publishers(topic.name) == 2)
+    def say(self, status: RunStatus) -> None:
+        self._publisher.publish(status)
 
     def until(self, condition: Any) -> None:
         while not condition():
@@ -61,64 +53,52 @@ def stage():
 
 
 RUNNING = RunStatus(run_id='one', state=RunStatus.RUNNING)
-READY = NodeStatus(run_id='one', state=NodeStatus.READY, node=interface.STEERING_CONTROLLER)
 
 
-@pytest.mark.parametrize(('heard_by', 'who'), [
-    (RUNNING, interface.SIMULATOR), (READY, interface.SIMULATOR), (RUNNING, interface.PERCEPTION),
-], ids=['run, simulator', 'one who is ready, simulator', 'run, perception'])
-def test_given_a_death_before_its_run_was_heard_of_then_the_run_is_told_of_it(
-    stage, heard_by, who
-):
-    stage.say(heard_by)
-    stage.watch.report_death(who, 'killed')
-    assert stage.watch.run_id == '', 'nothing was listened to yet'
-    stage.until(lambda: stage.mourned)
-    assert stage.mourned == [('one', who, 'killed')]
-    if who == interface.SIMULATOR:
-        stage.until(lambda: stage.lines)
-        assert stage.lines == ['run one: INFRA_ERROR died simulator killed']
-        assert (stage.watch.run_id, stage.watch.last_run) == ('', 'one')
-
-
-def test_given_a_run_that_gets_ready_after_the_death_of_a_participant_then_it_waits_for_the_next(
-    stage
-):
+def test_given_a_death_amid_a_run_then_the_run_is_told_of_it_and_of_none_before(stage):
+    stage.watch.report_death(interface.PERCEPTION, 'killed before')
+    stage.say(RUNNING)
+    stage.until(lambda: stage.watch.run_id == 'one')
     stage.watch.report_death(interface.PERCEPTION, 'killed')
-    stage.say(RunStatus(run_id='two', state=RunStatus.PREPARING))
-    stage.until(lambda: stage.watch.run_id == 'two')
-    stage.watch.report_death(interface.STEERING_CONTROLLER, 'killed as well')
     stage.until(lambda: stage.mourned)
-    assert stage.mourned == [('two', interface.STEERING_CONTROLLER, 'killed as well')]
+    assert stage.mourned == [('one', interface.PERCEPTION, 'killed')]
+    assert stage.watch.run_id == 'one', 'its simulator ends it'
 
 
-def test_given_a_run_of_the_simulator_started_again_then_it_is_told_of_no_death(stage):
+def test_given_a_simulator_that_dies_amid_a_run_then_the_run_is_over(stage):
+    stage.say(RUNNING)
+    stage.until(lambda: stage.watch.running)
     stage.watch.report_death(interface.SIMULATOR, 'killed')
-    stage.start_again()
-    stage.say(RunStatus(run_id='two', state=RunStatus.RUNNING))
-    stage.until(lambda: stage.watch.run_id == 'two')
-    stage.watch.report_death(interface.PERCEPTION, 'killed as well')
-    stage.until(lambda: stage.mourned)
-    assert stage.mourned == [('two', interface.PERCEPTION, 'killed as well')]
+    stage.until(lambda: stage.mourned and stage.lines)
+    assert stage.mourned == [('one', interface.SIMULATOR, 'killed')]
+    assert stage.lines == ['run one: INFRA_ERROR died simulator killed']
+    assert (stage.watch.run_id, stage.watch.running, stage.watch.asked) == ('', False, False)
+
+
+def test_given_a_node_whose_silence_ends_a_run_then_it_is_named(stage):
+    for status in (RUNNING, RunStatus(
+        run_id='one', state=RunStatus.ENDED, outcome='INFRA_ERROR', kind='timeout',
+        who=interface.PERCEPTION, detail='silent for 10 s',
+    )):
+        stage.say(status)
+    stage.until(lambda: stage.silent)
+    assert stage.silent == [interface.PERCEPTION]
+    assert stage.lines == ['run one: INFRA_ERROR timeout perception silent for 10 s']
 
 
 def test_a_replay_of_every_status_of_a_run_is_not_taken_for_a_run(stage):
     player = Node('bag_player', context=stage.node.context)
     stage._executor.add_node(player)
-    publishers = [
-        player.create_publisher(topic.type, topic.name, topic.qos)
-        for topic in (interface.NODE_STATUS, interface.RUN_STATUS)
-    ]
-    ended = RunStatus(run_id='one', state=RunStatus.ENDED, outcome='PASS')
-    for message in (READY, RUNNING, ended):
-        publishers[isinstance(message, RunStatus)].publish(message)
-    topic = interface.RUN_STATUS.name
-    stage.until(lambda: stage.node.count_publishers(topic) == 2)
+    topic = interface.RUN_STATUS
+    publisher = player.create_publisher(topic.type, topic.name, topic.qos)
+    for message in (RUNNING, RunStatus(run_id='one', state=RunStatus.ENDED, outcome='PASS')):
+        publisher.publish(message)
+    stage.until(lambda: stage.node.count_publishers(topic.name) == 2)
     heard = []
-    stage.others.create_subscription(RunStatus, topic, heard.append, interface.RUN_STATUS.qos)
+    stage.others.create_subscription(RunStatus, topic.name, heard.append, topic.qos)
     stage.until(lambda: len(heard) == 2)
     player.destroy_node()
-    stage.until(lambda: stage.node.count_publishers(topic) == 1)
+    stage.until(lambda: stage.node.count_publishers(topic.name) == 1)
     stage.say(RunStatus(run_id='two', state=RunStatus.RUNNING))
     stage.until(lambda: stage.watch.run_id == 'two')
-    assert (stage.lines, stage.watch.last_run) == ([], '')
+    assert stage.lines == []

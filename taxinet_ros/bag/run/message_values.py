@@ -12,6 +12,7 @@ from typing import Any
 from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.control_step import rolling_on, signals
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions
+from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.place.catalogue import find_track
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
@@ -63,6 +64,18 @@ def stamp_of(message: Any) -> int:
     """
     stamp = message.header.stamp
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def account_of(message: Any) -> FreeRunAccount:
+    """The account of a free run in a timing message."""
+    return FreeRunAccount(
+        applied=list(map(int, message.applied)), frame_s=list(map(float, message.frame_time)),
+        estimate_s=list(map(float, message.estimate_time)),
+        command_s=list(map(float, message.command_time)),
+        estimate_seq=list(map(int, message.estimate_seq)),
+        command_seq=list(map(int, message.command_seq)),
+        overruns=message.overruns, stale=message.stale,
+    )
 
 
 def error_of(message: Any) -> TrackingError:

@@ -1,6 +1,6 @@
 """Content of a run's bag (topics and metadata), and writing the bag of a run in one process.
 
-The recorder node writes received messages (``nodes/recorder.py``); :func:`write_run` writes the
+The recorder node writes received messages (:mod:`.live_bag`); :func:`write_run` writes the
 same messages for a run of :mod:`taxinet_ros.core.loop`, which has no ROS graph.
 """
 

@@ -61,8 +61,8 @@ def up(
         str,
         typer.Option(
             metavar='RULE',
-            help='when a node dies: on-failure restarts it, at most 3 times in 60 s; never ends '
-            'the graph',
+            help='when a node dies: on-failure restarts it, at most 3 times in 60 s, and also one '
+            'whose silence ended a run; never ends the graph',
         ),
     ] = 'on-failure',
     domain: Annotated[
@@ -80,14 +80,6 @@ def up(
             'share a domain',
         ),
     ] = '',
-    silent_after: Annotated[
-        float,
-        typer.Option(
-            min=0.5, max=3600.0, metavar='SECONDS',
-            help='report a node that has not answered for this long; on-failure kills it after '
-            'three times as long',
-        ),
-    ] = 10.0,
 ) -> int:
     """Start every node except the sampler in its own process and keep them running.
 
@@ -147,7 +139,7 @@ def up(
         try:
             run_standing_graph(
                 graph, view.say, view.watching, record=record, domain_id=domain, namespace=name,
-                restart=Restart(restart), silent_s=silent_after,
+                restart=Restart(restart),
             )
             view.say('ended')
         except KeyboardInterrupt:

@@ -10,6 +10,7 @@ import shutil
 import time
 from collections.abc import Iterator
 
+import psutil
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.padding import Padding
@@ -21,14 +22,11 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.graph.standing import remaps_into
-from taxinet_ros.nodes.graph.supervisor import State, Supervisor, WatchedNode, memory_mb
+from taxinet_ros.nodes.graph.supervisor import Supervisor, WatchedNode
 from taxinet_ros.nodes.running.domain import DISCOVERY_RANGE, LOCALHOST
 from taxinet_ros.registry import KMWH
 
 _REFRESH_PER_S = 2.0
-_STYLES = {
-    State.STARTING: 'yellow', State.READY: 'green', State.SILENT: 'red', State.DEAD: 'red',
-}
 
 
 class UpView:
@@ -104,7 +102,6 @@ class UpView:
         """Table of the nodes, and a status line of the runs."""
         table = Table(box=None, pad_edge=False, header_style='dim')
         table.add_column('node', min_width=20)
-        table.add_column('state', min_width=10)
         for name in ('since', 'process', 'memory', 'restarts'):
             table.add_column(name, justify='right', min_width=9)
         for watched in supervisor.nodes:
@@ -116,13 +113,14 @@ class UpView:
 
 def _row(watched: WatchedNode, now_s: float) -> list[RenderableType]:
     pid = watched.process.pid
-    memory = memory_mb(pid)
+    memory = ''
+    with contextlib.suppress(psutil.Error):
+        memory = f'{psutil.Process(pid).memory_info().rss / 1e6:.0f} MB'
     return [
         watched.name,
-        Text(watched.state, style=_STYLES[watched.state]),
         _span(now_s - watched.since_s),
         str(pid),
-        '' if memory is None else f'{memory:.0f} MB',
+        memory,
         str(watched.restarts) if watched.restarts else '',
     ]
 

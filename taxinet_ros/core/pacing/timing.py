@@ -225,6 +225,27 @@ def free_timing(factor: str) -> Timing:
     return Timing(free=True, factor=value)
 
 
+def timing_of(latency: str, *, lockstep: bool, factor: float) -> Timing:
+    """Timing from the simulator's parameters.
+
+    Args:
+        latency: as for :func:`parse_latency`, or ''.
+        lockstep: simulated time waits for every answer.
+        factor: simulated seconds per second of the wall clock in a free run; 0: no limit.
+
+    Raises:
+        UsageError: one of them is invalid, or has no effect with another.
+    """
+    timing = parse_latency([latency])
+    if not lockstep and timing.laws:
+        raise UsageError(
+            f'simulator: latency {timing.latency}: no effect in a free run, which has real delays'
+        )
+    if lockstep and factor != 1.0:
+        raise UsageError('simulator: real_time_factor: no effect in lockstep; set lockstep false')
+    return timing if lockstep else free_timing(f'{factor!r}')
+
+
 def is_free(words: str) -> bool:
     """Whether :attr:`Timing.words` are those of a free run."""
     return words.partition(' ')[0] == FREE

@@ -2,8 +2,7 @@
 
 ``ros2 run`` starts the node as its own child, which would outlive a killed parent. The wrapper
 adopts orphans of its command, in any session. When the command ends or the wrapper's parent dies
-for any reason, all of them are ended. Of output to a file only the beginning and the end are kept,
-so that it cannot fill the disk.
+for any reason, all of them are ended.
 """
 
 from __future__ import annotations
@@ -12,13 +11,10 @@ import contextlib
 import functools
 import os
 import signal
-import stat
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from types import FrameType
-from typing import IO, Any
 
 import psutil
 
@@ -32,9 +28,6 @@ processes in other sessions.
 """
 CHILDREN_LEFT = 'keeper: ended what the command left behind: '
 """Start of the line a wrapper prints about processes that outlived its command."""
-_BEGINNING_BYTES, _END_BYTES = 8_000_000, 1_000_000
-"""Bytes kept of the output of a command in its log file."""
-_LAST_WORDS_S = 1.0
 
 
 def wrapped_command(
@@ -64,51 +57,18 @@ def main() -> int:
     adopt_orphans()
     if os.getppid() != parent:
         return 1
-    into_file = stat.S_ISREG(os.fstat(sys.stdout.fileno()).st_mode)
-    streams: dict[str, Any] = {}
-    if into_file:
-        streams = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT}
     try:
-        child = subprocess.Popen(command, preexec_fn=_usual_signals, **streams)
+        child = subprocess.Popen(command, preexec_fn=_usual_signals)
     except OSError as error:
         print(f'{command[0]}: cannot be started: {error.strerror}', flush=True)
         return 127
-    passing_on = threading.Thread(target=_pass_on, args=(child.stdout,), daemon=True)
-    if into_file:
-        passing_on.start()
     code = child.wait()
     _end_what_is_left()
-    if into_file:
-        passing_on.join(_LAST_WORDS_S)
     if code < 0:
         if -code not in (signal.SIGKILL, signal.SIGSTOP):
             signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)
     return code
-
-
-def _pass_on(printed: IO[bytes]) -> None:
-    """Copy a command's output: the beginning as it comes, and the tail at its end."""
-    room, left_out, end = _BEGINNING_BYTES, 0, b''
-    while data := os.read(printed.fileno(), 1 << 16):
-        if room:
-            _write(data[:room])
-        end += data[room:]
-        room = max(0, room - len(data))
-        if len(end) > 2 * _END_BYTES:
-            if not left_out:
-                _write(b'\nkeeper: it prints too much; from here on the last of it is kept alone\n')
-            left_out += len(end) - _END_BYTES
-            end = end[-_END_BYTES:]
-    if left_out:
-        _write(f'keeper: {left_out / 1e6:.1f} MB are left out here\n'.encode())
-    _write(end)
-
-
-def _write(data: bytes) -> None:
-    with contextlib.suppress(OSError):  # the recorder reports a full disk
-        sys.stdout.buffer.write(data)
-        sys.stdout.buffer.flush()
 
 
 def _usual_signals() -> None:

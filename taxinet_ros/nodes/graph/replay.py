@@ -31,6 +31,7 @@ from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING, gains_text
 from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.pacing.step_collector import StepCollector
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
@@ -38,7 +39,6 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, Topic
 from taxinet_ros.nodes.messages.convert import scenario_message
-from taxinet_ros.nodes.messages.step import StepCollector
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until

@@ -189,7 +189,6 @@ class SampledGraph:
             context=self._spinning.context, parameter_overrides=overrides
         )
         self._sampler = sampler
-        sampler.one_simulator = True
         if self._interrupted:
             sampler.interrupt()
         if self.children:

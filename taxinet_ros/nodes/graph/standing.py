@@ -24,7 +24,7 @@ def remaps_into(namespace: str) -> tuple[str, ...]:
 def run_standing_graph(
     graph: GraphOptions, say: Callable[[str], None],
     watching: Callable[[Supervisor, int], contextlib.AbstractContextManager[None]], *,
-    record: bool, domain_id: int | None, namespace: str, restart: Restart, silent_s: float,
+    record: bool, domain_id: int | None, namespace: str, restart: Restart,
 ) -> None:
     """Start a graph and supervise it until stopped.
 
@@ -40,7 +40,6 @@ def run_standing_graph(
         namespace: absolute namespace of every name in the graph, including its clock; graphs with
             different namespaces may share a domain set by the user.
         restart: what to do when a node dies.
-        silent_s: silence after which a node is reported [s], see :class:`.Supervisor`.
 
     Raises:
         UsageError: bad input, or the domain belongs to another graph.
@@ -57,7 +56,7 @@ def run_standing_graph(
         _in_order(processes),
     ):
         supervisor = Supervisor(
-            processes, say, restart=restart, silent_s=silent_s, context=spinning.context,
+            processes, say, restart=restart, context=spinning.context,
             cli_args=['--ros-args', *rules] if rules else [],
         )
         spinning.add(supervisor)

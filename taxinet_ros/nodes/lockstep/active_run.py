@@ -1,100 +1,68 @@
-"""The simulator's current run: world, bookkeeping, checks of answers, health."""
+"""The simulator's current run: its world, and what it says and asks of the graph; its health."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.task import Future
 from taxinet_msgs.action import RunScenario
-from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
+from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
+from taxinet_ros.bag.run.messages import observation_messages
+from taxinet_ros.core import topics
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation, rolling_on
 from taxinet_ros.core.faults import check_free
 from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
-from taxinet_ros.core.pacing.timing import Timing, free_timing
+from taxinet_ros.core.pacing.stepped_run import Ending, LiveGraph, SteppedRun
+from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.core.verdict.judge import check_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.core.world import SimulatedWorld, WorldMaker
+from taxinet_ros.core.world import check_picture, close_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.diagnostics import Health, Pace, too_long
-from taxinet_ros.nodes.messages.convert import header, one_line
-from taxinet_ros.nodes.messages.step import StepMessage, subnormal
+from taxinet_ros.nodes.messages.convert import (
+    account_message,
+    header,
+    one_line,
+    parse_blame,
+    same_ready,
+)
 from taxinet_ros.nodes.names import check_participants
+from taxinet_ros.nodes.running import domain
 
 
-def check_answer(answer: StepMessage, who: str, seq: int) -> None:
-    """Check that an answer refers to a published frame, with numbers that can have been meant.
+class ActiveRun(LiveGraph):
+    """A run on the simulator's graph.
 
-    Late or repeated answers are allowed.
-
-    Raises:
-        InfraError: it refers to a future frame, its stamp and frame number disagree, or a number
-            of it is :func:`.subnormal`.
+    Attributes:
+        goal: the action's goal handle.
+        camera: model of its camera.
+        steps: the run itself.
+        done: future of the final status.
+        account: last message on the timing of a free run.
+        verdict: message with the judgement.
+        ready: READY message of each participant.
     """
-    if answer.seq > seq:
-        detail = f'answered frame {answer.seq}, which is not out yet'
-        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
-    if answer.stamp_ns != answer.seq * CONTROL_PERIOD_NS:
-        detail = f'its answer to frame {answer.seq} is stamped {answer.stamp_ns / 1e9:g} s'
-        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
-    if detail := subnormal(answer.value):
-        raise InfraError(InfraKind.PROTOCOL, who, seq, f'answered {detail}')
 
-
-def check_command(command: TaxiCommand, who: str, seq: int) -> None:
-    """Check that a command is physically valid.
-
-    Raises:
-        InfraError: the angle or speed is not finite, or the speed is negative.
-    """
-    if not (math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf):
-        detail = f'commanded {command.steering_rad:g} rad at {command.speed_mps:g} m/s'
-        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
-
-
-FREE_TICK_S = 0.001
-"""Polling period for the next frame [s]: a hundredth of a step in real time."""
-
-
-def chosen_timing(timing: Timing, *, lockstep: bool, factor: float) -> Timing:
-    """Timing from the simulator's parameters.
-
-    Args:
-        timing: timing with the latency.
-        lockstep: simulated time waits for every answer.
-        factor: simulated seconds per second of the wall clock in a free run; 0: no limit.
-
-    Raises:
-        UsageError: one of them has no effect with another.
-    """
-    if lockstep and factor != 1.0:
-        raise UsageError('simulator: real_time_factor: no effect in lockstep; set lockstep false')
-    if not lockstep and timing.laws:
-        raise UsageError(
-            f'simulator: latency {timing.latency}: no effect in a free run, which has real delays'
-        )
-    return timing if lockstep else free_timing(f'{factor!r}')
-
-
-class ActiveRun:
-    """World, lockstep bookkeeping and pending action result of a run."""
-
-    def __init__(
-        self, goal: Any, executor: Any, timing: Timing, make_world: WorldMaker = SimulatedWorld
-    ) -> None:
+    def __init__(self, goal: Any, node: Any) -> None:
         """Build the world of the goal's scenario.
+
+        Args:
+            goal: the action's goal handle.
+            node: the :class:`.Simulator`.
 
         Raises:
             UsageError: the scenario has a value out of range, a name that is no valid folder name,
@@ -104,7 +72,7 @@ class ActiveRun:
             InfraError: the world cannot be built.
         """
         message = goal.request.scenario
-        self.goal = goal
+        self.goal, self._node = goal, node
         self.run_id: str = message.run_id
         self.participants = tuple(message.participants)
         check_participants(self.participants)
@@ -116,73 +84,202 @@ class ActiveRun:
         _ = judging.assumptions  # refused if invalid
         scenario = scenario_of(message)
         check_specs(judging.parsed_specs, scenario)
-        self.world = make_world(scenario)
         self.camera = scenario.camera_model
-        self.first = rolling_on(scenario.speed_mps)
-        self.commands = LateCommands(timing, message.seed, message.index, scenario)
-        may_stop = judging.stop_on is not StopOn.NEVER
-        if timing.free and may_stop:
-            raise UsageError(
-                f'stop_on {message.stop_on}: not in a free run, which does not wait for the monitor'
-            )
+        may_stop, timing = judging.stop_on is not StopOn.NEVER, node.timing
         if timing.free:
+            if may_stop:
+                raise UsageError(
+                    f'stop_on {message.stop_on}: not in a free run, which does not wait for the '
+                    'monitor'
+                )
             check_free(scenario)
             if beside := set(interface.BESIDE) & set(self.participants):
                 raise UsageError(
                     f'participants: {min(beside)}: not in a free run, where frames may be lost'
                 )
-        roles: dict[str, Any] = {
-            'participants': self.participants, 'chain': interface.CHAIN,
-            'followers': interface.FOLLOWERS, 'last_seq': self.world.last_seq,
-        }
-        self.free = FreeRun(**roles, factor=timing.factor) if timing.free else None
-        self.lockstep = self.free or Lockstep(
-            **roles, enders=(interface.MTL_MONITOR,) if may_stop else (),
+        self.world = node.world.make(scenario)
+        self.steps = SteppedRun(
+            self, self._bookkeeping(timing, may_stop), participants=self.participants,
+            first=rolling_on(scenario.speed_mps),
+            late=LateCommands(timing, message.seed, message.index, scenario).at,
+            answer_timeout_s=node.answer_timeout_s, ready_timeout_s=node.ready_timeout_s,
+            clock=time.monotonic,
         )
         self.listens: dict[str, set[str]] = {}
         self.ready: dict[str, NodeStatus] = {}
         self.perception = {'perception': '', 'fingerprint': ''}
-        self.started = False
-        self.publishers: dict[str, int] = {}
-        self.command: TaxiCommand | None = None
-        self.suspect: tuple[InfraError, float] | None = None
-        self.verdict: Verdict | None = None
-        self.ending: RunStatus | None = None
-        self.told_account: TimingMessage | None = None
-        self.unwanted_s = 0.0  # Time of a cancel request, monotonic clock.
-        self.done = Future(executor=executor)
-        self.created = self.last_heard = time.monotonic()
+        self.verdict = interface.VERDICT.type()
+        self.account = TimingMessage()
+        self.done = Future(executor=node.executor)
 
-    def listeners(self, topic: str) -> set[str]:
+    def _bookkeeping(self, timing: Timing, may_stop: bool) -> Lockstep:
+        roles: dict[str, Any] = {
+            'participants': self.participants, 'chain': interface.CHAIN,
+            'followers': interface.FOLLOWERS, 'last_seq': self.world.last_seq,
+        }
+        if timing.free:
+            return FreeRun(**roles, factor=timing.factor)
+        return Lockstep(**roles, enders=(interface.MTL_MONITOR,) if may_stop else ())
+
+    @property
+    def seq(self) -> int:
+        """Current control step."""
+        return max(self.steps.lockstep.seq, 0)
+
+    def listeners(self, topic: topics.Topic) -> set[str]:
         """Participants that have declared a subscription to a topic.
 
         Only a free run publishes timing, and its followers must receive it.
         """
-        if self.free is not None and topic == interface.TIMING.name:
+        if self.steps.free is not None and topic.name == interface.TIMING.name:
             return set(interface.FOLLOWERS) & set(self.participants)
-        return {node for node, topics in self.listens.items() if topic in topics}
-
-    def reset_watchdog(self) -> None:
-        """Restart the watchdog after an answer."""
-        self.last_heard = time.monotonic()
-
-    def finish(self) -> None:
-        """Send the announced ending to the client."""
-        if not self.done.done():
-            self.done.set_result(self.ending)
+        return {node for node, names in self.listens.items() if topic.name in names}
 
     def status(self, state: int, **what: Any) -> RunStatus:
         """Status message of this run at its current step."""
-        seq = max(self.lockstep.seq, 0)
         return RunStatus(
-            header=header(seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state, seq=seq,
-            **self.perception, **what,
+            header=header(self.seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state,
+            seq=self.seq, **self.perception, **what,
         )
+
+    def close(self) -> None:
+        """Release the world, which is large, at once."""
+        close_world(self.world)
+        del self.world
 
     def feedback(self) -> RunScenario.Feedback:
         """Progress of the run."""
-        seq = max(self.lockstep.seq, 0)
-        return RunScenario.Feedback(seq=seq, elapsed=seq * CONTROL_PERIOD_NS / 1e9)
+        return RunScenario.Feedback(seq=self.seq, elapsed=self.seq * CONTROL_PERIOD_NS / 1e9)
+
+    def prepare(self) -> None:
+        """Have all nodes get ready."""
+        node = self._node
+        node.transforms.mount(self.camera)
+        node.say(interface.SCENARIO, self.goal.request.scenario)
+        node.say(interface.NODE_STATUS, NodeStatus(
+            header=header(0, ''), run_id=self.run_id, node=interface.SIMULATOR,
+            state=NodeStatus.READY, implementation=node.timing.words,
+            fingerprint=node.world.fingerprint, detail=node.world.origin,
+        ))
+        node.say(interface.RUN_STATUS, self.status(RunStatus.PREPARING))
+
+    def on_message(self, topic: topics.Topic, message: Any) -> None:
+        """Take a message of a topic that the simulator listens to.
+
+        Raises:
+            InfraError: its node does not keep to the protocol.
+        """
+        if message.run_id != self.run_id:
+            return
+        if topic is interface.NODE_STATUS:
+            self._on_status(message)
+        elif not self.steps.started:
+            pass  # before its first step a run has nothing to answer
+        elif topic is interface.ESTIMATE:
+            self.steps.estimate(message.seq, message.stamp_ns, message.value)
+        elif topic is interface.COMMAND:
+            self.steps.command(message.seq, message.stamp_ns, message.value)
+        elif topic is interface.PROGRESS:
+            self.steps.progress(message.value, message.seq, message.stamp_ns)
+        elif topic is interface.VERDICT:
+            self.verdict = message
+            self.steps.judged(message)
+
+    def _on_status(self, status: NodeStatus) -> None:
+        recorder = status.node == interface.RECORDER
+        if status.state == NodeStatus.READY and status.node in self.participants:
+            if not same_ready(self.ready.setdefault(status.node, status), status):
+                words = 'two different nodes have this name'
+                raise InfraError(InfraKind.INTRUDER, status.node, -1, words)
+            self.listens[status.node] = set(status.listens)
+            if status.node == interface.PERCEPTION:
+                self.perception = {
+                    'perception': status.implementation, 'fingerprint': status.fingerprint,
+                }
+            self.steps.ready(status.node)
+        elif status.state == NodeStatus.ERROR:
+            blame = parse_blame(status.detail)
+            if blame is not None and blame[0] == InfraKind.INTRUDER and not self.steps.started:
+                return  # a node started again; all publishers are checked before the start
+            kind = InfraKind.BAG if recorder else InfraKind.NODE_ERROR
+            self.steps.fail(*(blame or (kind, status.node, status.detail)))
+        elif status.state == NodeStatus.DONE and recorder:
+            self.steps.recorded(status.detail, status.seq)
+
+    # See :class:`LiveGraph` --------------------------------------------------------------------
+
+    def advance(self, command: TaxiCommand) -> None:
+        """Move the world by one step."""
+        self.world.advance(command)
+
+    def observe(self) -> Observation:
+        """Look at the world; rendering is the slowest part, so only for subscribers."""
+        self._begun_s = time.perf_counter()
+        looked_at = self._node.ends.speakers[interface.IMAGE.name].get_subscription_count() > 0
+        now = self.world.observe(picture=looked_at)
+        for who in sorted(self.listeners(interface.IMAGE)):
+            check_picture(now, who)
+        return now
+
+    def publish(self, frame: Observation) -> None:
+        """Publish a frame with its transforms."""
+        for topic, message in observation_messages(frame, self.run_id, self.camera):
+            self._node.say(topic, message)
+            if topic is topics.ODOMETRY:
+                self._node.transforms.follow(message)
+        self._node.pace.frames.took(time.perf_counter() - self._begun_s)
+
+    def settle(self, unestimated: Sequence[int], uncommanded: Sequence[int]) -> None:
+        """Publish which earlier frames of a free run get no answer."""
+        self._node.say(interface.TIMING, TimingMessage(
+            header=header(self.seq * CONTROL_PERIOD_NS, ''), run_id=self.run_id, seq=self.seq,
+            unestimated=unestimated, uncommanded=uncommanded,
+        ))
+
+    def start(self) -> None:
+        """Say that the run begins."""
+        self._node.say(interface.RUN_STATUS, self.status(RunStatus.RUNNING))
+
+    def announce(self, ending: Ending) -> None:
+        """Say how the run ended."""
+        if self.steps.free is not None:
+            self.account = account_message(self.steps.free, self.run_id)
+            self._node.say(interface.TIMING, self.account)
+        self._node.say(interface.RUN_STATUS, self._ended(ending))
+
+    def finish(self, ending: Ending) -> None:
+        """Give the ending to the client."""
+        self.done.set_result(self._ended(ending))
+
+    def _ended(self, ending: Ending) -> RunStatus:
+        return self.status(
+            RunStatus.ENDED, outcome=ending.outcome, kind=ending.kind, who=ending.who,
+            detail=ending.detail,
+        )
+
+    def unmatched(self) -> list[str]:
+        """Topics on which the simulator has not found all other nodes of the run."""
+        ends = self._node.ends
+        return [
+            *ends.unmatched(self.participants, self.listeners),
+            *(
+                topic.name for topic in interface.TOPICS if topic.name not in ends.listeners
+                and not domain.has_its_publishers(self._node, topic, self.participants)
+            ),
+        ]
+
+    def intruder(self) -> tuple[str, str] | None:
+        """See :func:`.domain.intruder`."""
+        return domain.intruder(self._node, self.participants)
+
+    def why_not_ready(self) -> tuple[str, str, str]:
+        """See :func:`.domain.why_not_ready`."""
+        silent = self.steps.lockstep.missing()
+        return domain.why_not_ready(self._node, self.participants, silent, self.unmatched())
+
+    def why_silent(self, who: str) -> str:
+        """See :func:`.domain.why_silent`."""
+        return domain.why_silent(self._node, who, self.participants)
 
 
 def not_begun(run_id: str, error: Exception) -> RunStatus:
@@ -222,14 +319,8 @@ class RunHealth:
         if status.outcome == Outcome.INFRA_ERROR:
             self._broken = f'run {run_id} broke: {status.kind} {status.who}: {status.detail}'
 
-    def look(self, run: ActiveRun | None, waits_for: str) -> Health:
-        """Health since the last look.
-
-        Args:
-            run: the current run, if any.
-            waits_for: names of the nodes it waits for; '' for none. In a free run, names of nodes
-                silent for too long.
-        """
+    def look(self, run: ActiveRun | None) -> Health:
+        """Health since the last look, with the current run, if any."""
         rate, frames = self.frames.look('frame')
         values: dict[str, object] = {
             'step rate [1/s]': rate, 'real-time factor': rate * CONTROL_PERIOD_NS / NS_PER_S,
@@ -239,19 +330,20 @@ class RunHealth:
         if run is None:
             level = DiagnosticStatus.ERROR if self._broken else DiagnosticStatus.OK
             return Health(level=level, message=self._broken or 'no run', values=values)
-        waited_s = time.monotonic() - run.last_heard
+        steps = run.steps
+        waited_s = time.monotonic() - steps.heard_s
+        waits_for = ', '.join(steps.awaited(diagnostics.PATIENCE_S))
         values |= {
-            'run': run.run_id, 'step': run.lockstep.seq, 'last step': run.world.last_seq,
+            'run': run.run_id, 'step': steps.lockstep.seq, 'last step': run.world.last_seq,
             'waits for': waits_for, 'silent for [s]': waited_s, **run.perception,
         }
-        free = run.free is not None and run.started and run.ending is None
-        if run.free is not None:
-            figures = run.free.account.figures()
+        free = steps.free is not None and steps.started and steps.ending is None
+        if steps.free is not None:
+            figures = steps.free.account.figures()
             values |= {f'free run, {name}': figures[name] for name in _OF_FREE_RUNS}
         if waits_for and (free or too_long(waited_s)):
             since = '' if free else f' {waited_s:.1f} s'
             line = f'run {run.run_id} has waited{since} for {waits_for}'
             return Health(level=DiagnosticStatus.WARN, message=line, values=values)
-        line = f'run {run.run_id}: step {run.lockstep.seq} of {run.world.last_seq}'
-        return Health(message=line if run.started else f'run {run.run_id}: starting',
-                      values=values)
+        line = f'step {steps.lockstep.seq} of {run.world.last_seq}' if steps.started else 'starting'
+        return Health(message=f'run {run.run_id}: {line}', values=values)

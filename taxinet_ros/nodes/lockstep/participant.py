@@ -12,7 +12,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.run.messages import progress_cdr
@@ -20,15 +19,9 @@ from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
-from taxinet_ros.nodes.lockstep.endpoints import (
-    absent_publishers,
-    brief_intruder,
-    heard_by,
-    hears,
-    second_publisher_events,
-)
 from taxinet_ros.nodes.messages.convert import blame_text, header, one_line
 from taxinet_ros.nodes.messages.step import is_read_raw, step_reader
+from taxinet_ros.nodes.running.domain import Endpoints, brief_intruder
 
 _READY_POLL_S = 0.005
 _SILENT_LOOKS = 20
@@ -59,8 +52,7 @@ class Participant(Node):
         self.origin = ''
         self._scenario: Scenario | None = None
         self.silent_looks = 0
-        self._speakers: list[tuple[Topic, Publisher]] = []
-        self._listeners: list[tuple[Topic, Subscription]] = []
+        self._ends = Endpoints(self, self._on_second_publisher)
         self._work, self._trouble, self._taken_s = Pace(), '', 0.0
         self._diagnostics = Diagnostics(self, self.health)
         self._status = self.speak(interface.NODE_STATUS)
@@ -79,9 +71,7 @@ class Participant(Node):
 
     def speak(self, topic: Topic) -> Publisher:
         """Publish on a topic of the table."""
-        publisher = self.create_publisher(topic.type, topic.name, topic.end_qos)
-        self._speakers.append((topic, publisher))
-        return publisher
+        return self._ends.speak(topic)
 
     def listen(
         self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False,
@@ -101,11 +91,9 @@ class Participant(Node):
             def callback(cdr: bytes) -> None:
                 hear(read(cdr))
 
-        self._listeners.append((topic, self.create_subscription(
-            topic.type, topic.name, self._guarded(callback),
-            interface.NEWEST if newest else topic.end_qos, raw=raw,
-            event_callbacks=second_publisher_events(topic, self._on_second_publisher),
-        )))
+        self._ends.listen(
+            topic, self._guarded(callback), raw=raw, qos=interface.NEWEST if newest else None
+        )
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
         """Report this node's state in the current run to the simulator."""
@@ -121,7 +109,7 @@ class Participant(Node):
             detail=detail,
             # In a free run, who must hear its timing is known without.
             listens=[
-                topic.name for topic, _ in self._listeners if topic is not interface.TIMING
+                name for name in self._ends.listeners if name != interface.TIMING.name
             ] if ready else [],
             implementation=self.implementation,
             fingerprint=self.fingerprint,
@@ -151,11 +139,10 @@ class Participant(Node):
             return Health(message=f'run {self.run_id}' if self.run_id else 'no run', values=values)
         if not too_long(time.monotonic() - self._taken_s):
             return Health(message=f'run {self.run_id}: starting', values=values)
-        values['waits for'] = ', '.join(sorted(self.waits_for()))
-        unsettled = ', '.join(self._unsettled())
-        if not unsettled:  # no more; READY follows at the next check
+        unmatched = ', '.join(self._unmatched())
+        if not unmatched:  # no more; READY follows at the next check
             return Health(message=f'run {self.run_id}: starting', values=values)
-        line = f'run {self.run_id}: endpoints not matched on {unsettled}'
+        line = f'run {self.run_id}: endpoints not matched on {unmatched}'
         return Health(level=DiagnosticStatus.WARN, message=line, values=values)
 
     def may_leave(self) -> bool:
@@ -166,29 +153,13 @@ class Participant(Node):
         self.silent_looks += 1
         return self.without_simulator() or (self.silent_looks > _SILENT_LOOKS and all(
             # DDS resends lost messages as long as this node exists.
-            publisher.wait_for_all_acked(Duration()) for _, publisher in self._speakers
+            publisher.wait_for_all_acked(Duration()) for publisher in self._ends.speakers.values()
         ))
 
     def without_simulator(self) -> bool:
         """Whether there is no run, or no simulator that could end it."""
-        heard = next(heard for topic, heard in self._listeners if topic is interface.SCENARIO)
-        return not self.run_id or not heard.get_publisher_count()
-
-    def waits_for(self) -> set[str]:
-        """Nodes of the run not matched yet, see :class:`.node_main.Waiting`."""
-        if self._scenario is None or self._poll.is_canceled():
-            return set()
-        present = self._scenario.participants
-        found: set[str] = set()
-        for topic, publisher in self._speakers:
-            names = topic.listeners(present)
-            if not heard_by(self, publisher, names):
-                ends = self.get_subscriptions_info_by_topic(publisher.topic_name)
-                found |= names - {end.node_name for end in ends} or names
-        for topic, heard in self._listeners:
-            if not hears(self, heard, topic, present):
-                found |= absent_publishers(self, topic, present) or topic.speakers(present)
-        return found - {self.get_name()}
+        scenarios = self._ends.listeners[interface.SCENARIO.name]
+        return not self.run_id or not scenarios.get_publisher_count()
 
     def close(self) -> None:
         """Finish pending work; called once before the node is destroyed."""
@@ -222,22 +193,17 @@ class Participant(Node):
         """
         if self._scenario is None or self._poll.is_canceled():
             return
-        if next(self._unsettled(), None) is not None:
+        if next(self._unmatched(), None) is not None:
             return
         self.clear()
         self._poll.cancel()
         self.report(NodeStatus.READY, detail=self.origin)
 
-    def _unsettled(self) -> Iterator[str]:
+    def _unmatched(self) -> Iterator[str]:
         """Topics with unmatched or foreign endpoints in this run."""
         assert self._scenario is not None
         present = self._scenario.participants
-        for topic, publisher in self._speakers:
-            if not heard_by(self, publisher, topic.listeners(present)):
-                yield topic.name
-        for topic, heard in self._listeners:
-            if not hears(self, heard, topic, present):
-                yield topic.name
+        return self._ends.unmatched(present, lambda topic: topic.listeners(present))
 
     def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         @functools.wraps(callback)

@@ -16,18 +16,18 @@ from rclpy.node import Node
 from rclpy.task import Future
 from taxinet_msgs.msg import Verdict
 
+from taxinet_ros.bag.run.message_values import account_of
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.lockstep.endpoints import End
 from taxinet_ros.nodes.messages.convert import (
-    account_of,
     death_notice,
     scenario_message,
     statistics_of,
 )
+from taxinet_ros.nodes.running.domain import End, simulators
 from taxinet_ros.nodes.running.parameters import Parameter, declare_all
 
 _WATCH_PERIOD_S = 0.1
@@ -58,7 +58,6 @@ class ScenarioSampler(Node):
     Attributes:
         seq: latest known control step of the current run.
         interrupted: whether :meth:`interrupt` was called.
-        one_simulator: whether to fail at once if there is a second simulator.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -76,7 +75,7 @@ class ScenarioSampler(Node):
         self._answer: Future | None = None
         self._finished: Future | None = None
         self._cancelled = False
-        self.interrupted = self.one_simulator = False
+        self.interrupted = False
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = self._last_asked = 0.0
@@ -180,20 +179,13 @@ class ScenarioSampler(Node):
         if not self._finished.done():
             self._finished.set_result(None)
 
-    def _servers(self) -> dict[End, str]:
-        """Known servers of the action: node by response endpoint."""
-        name = self.resolve_service_name(f'{interface.RUN_SCENARIO}/_action/get_result')
-        # DDS topic name of service responses in all ROS 2 implementations.
-        ends = self.get_publishers_info_by_topic(f'rr{name}Reply', no_mangle=True)
-        return {tuple(end.endpoint_gid): str(end.node_name) for end in ends}
-
     def _may_ask(self) -> bool:
         """Whether there is exactly one simulator, with no remains of a dead one."""
-        servers = self._servers().keys()
+        servers = simulators(self).keys()
         return len(servers) <= 1 and not self._dead & servers and self._client.server_is_ready()
 
     def _ask(self, request: RunRequest, answer: Future) -> None:
-        self._asked_of = set(self._servers())
+        self._asked_of = set(simulators(self))
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
         self._last_heard = self._last_asked = time.monotonic()
         self._sent = interface.RUN_SCENARIO_TYPE.Impl.SendGoalService.Request().goal_id
@@ -231,7 +223,7 @@ class ScenarioSampler(Node):
         request = self._request
         half_m = request.scenario.line.half_width_m if request else KMWH_HALF_WIDTH_M
         result = result_of(found.result, half_m)
-        if result.outcome is not Outcome.INFRA_ERROR and len(self._servers()) > 1:
+        if result.outcome is not Outcome.INFRA_ERROR and len(simulators(self)) > 1:
             result = dataclasses.replace(self._two_servers(''), last_seq=result.last_seq)
         answer.set_result(result)
 
@@ -263,9 +255,7 @@ class ScenarioSampler(Node):
         elif self._may_ask():
             assert self._request is not None
             self._ask(self._request, answer)
-        elif now - self._asked > server_timeout_s or (
-            self.one_simulator and len(self._servers()) > 1
-        ):
+        elif now - self._asked > server_timeout_s:
             answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
 
     def _handle_of_sent(self) -> ClientGoalHandle:
@@ -278,16 +268,16 @@ class ScenarioSampler(Node):
 
     def _not_asked(self, within: str) -> RunResult:
         """Reason why there was no simulator, or more than one."""
-        if len(self._servers()) > 1:
+        if len(simulators(self)) > 1:
             return self._two_servers(f', {within} too')
         return RunResult.infra_error(
             InfraKind.NOT_READY, interface.SIMULATOR, f'not found {within}', 0
         )
 
     def _two_servers(self, still: str) -> RunResult:
-        names = sorted(self._servers().values())
+        names = sorted(simulators(self).values())
         others = [name for name in names if name != interface.SIMULATOR] or names
-        detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}{still}'
+        detail = f'{len(names)} nodes publish {interface.SCENARIO.name}{still}'
         return RunResult.infra_error(InfraKind.INTRUDER, others[0], detail, 0)
 
 

@@ -17,7 +17,7 @@ from taxinet_msgs.msg import Timing as TimingMessage
 from taxinet_ros.bag.run.message_values import reading_values, scenario_values
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec
-from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
+from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
@@ -76,15 +76,6 @@ def statistics_of(
     )
 
 
-def settled_message(free: FreeRun, run_id: str) -> TimingMessage:
-    """Message on the earlier frames settled with a frame: those that get no answer."""
-    unestimated, uncommanded = free.settle()
-    return TimingMessage(
-        header=header(free.seq * CONTROL_PERIOD_NS, ''), run_id=run_id, seq=free.seq,
-        unestimated=unestimated, uncommanded=uncommanded,
-    )
-
-
 def account_message(free: FreeRun, run_id: str) -> TimingMessage:
     """Message with the account of a free run, at its end."""
     account = free.account
@@ -94,16 +85,6 @@ def account_message(free: FreeRun, run_id: str) -> TimingMessage:
         applied=account.applied, frame_time=account.frame_s, estimate_time=account.estimate_s,
         command_time=account.command_s, estimate_seq=account.estimate_seq,
         command_seq=account.command_seq, overruns=account.overruns, stale=account.stale,
-    )
-
-
-def account_of(message: TimingMessage) -> FreeRunAccount:
-    """The inverse of :func:`account_message`."""
-    return FreeRunAccount(
-        applied=list(message.applied), frame_s=list(message.frame_time),
-        estimate_s=list(message.estimate_time), command_s=list(message.command_time),
-        estimate_seq=list(message.estimate_seq), command_seq=list(message.command_seq),
-        overruns=message.overruns, stale=message.stale,
     )
 
 
@@ -125,13 +106,6 @@ def parse_blame(detail: str) -> tuple[str, str, str] | None:
 def same_ready(one: NodeStatus, other: NodeStatus) -> bool:
     """Whether two READY messages of a node are equal; a node repeats its READY."""
     return (one.implementation, one.fingerprint) == (other.implementation, other.fingerprint)
-
-
-def duplicate_node_error(node: str) -> InfraError:
-    """Error of a run with two different READY messages of the same node name."""
-    return InfraError(
-        InfraKind.INTRUDER, node, -1, 'two different nodes have this name'
-    )
 
 
 def death_notice(

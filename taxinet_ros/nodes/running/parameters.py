@@ -172,6 +172,14 @@ class Usage:
     other: str = ''
     ends: tuple[str, ...] = ()
 
+    @classmethod
+    def of_node(cls, node: str, **what: Any) -> Usage:
+        """Usage of a node of the graph, with its topics; ``what`` goes to :class:`Usage`."""
+        return cls(
+            executable=node, publishes=published_topics(node), subscribes=subscribed_topics(node),
+            **what,
+        )
+
     @property
     def text(self) -> str:
         """Text of ``--help``."""

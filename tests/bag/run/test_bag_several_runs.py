@@ -13,6 +13,7 @@ from recordings import heard, record
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.judge import JudgedBag, judge_runs
 from taxinet_ros.bag.errors import BagForeign
+from taxinet_ros.bag.playback import open_bag
 from taxinet_ros.bag.run.judging import BagVerdict
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl import parse_spec
@@ -200,11 +201,10 @@ def test_ros14_given_a_namespace_then_the_run_is_judged_and_compared_as_without(
 
 
 def test_ros1_given_a_time_that_begins_anew_then_the_player_asks_for_a_bag_of_each(tmp_path):
-    playback = pytest.importorskip('taxinet_ros.nodes.bag_player')
     bag = record(tmp_path / 'all', heard([GOOD, BAD], sim_time=True))
     with pytest.raises(UsageError, match='jumps back by 12 s, so it holds several runs'):
-        playback.open_bag(str(bag))
-    assert playback.open_bag(str(record(tmp_path / 'wall', heard([GOOD, BAD])))).complete
+        open_bag(str(bag))
+    assert open_bag(str(record(tmp_path / 'wall', heard([GOOD, BAD])))).complete
 
 
 def test_ros1_attack_given_two_runs_when_recovered_then_the_steps_of_each_are_told(

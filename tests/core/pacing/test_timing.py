@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
 from taxinet_ros.core.loop import LateCommands
-from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, parse_latency, parse_timing
+from taxinet_ros.core.pacing.timing import (
+    AT_ONCE,
+    LateAnswers,
+    free_timing,
+    parse_latency,
+    parse_timing,
+    timing_of,
+)
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.errors import UsageError
@@ -125,3 +132,14 @@ def test_r5_given_words_that_are_none_then_one_line_names_them(words):
     with pytest.raises(UsageError, match=r'^latency \w*') as raised:
         parse_latency([words])
     assert '\n' not in str(raised.value)
+
+
+def test_given_the_simulators_parameters_then_one_without_effect_is_refused():
+    assert timing_of('', lockstep=True, factor=1.0) == AT_ONCE
+    assert timing_of('', lockstep=False, factor=0.5) == free_timing('0.5')
+    late = timing_of('perception=0.15', lockstep=True, factor=1.0)
+    assert late == parse_latency(['perception=0.15'])
+    with pytest.raises(UsageError, match='real_time_factor: no effect in lockstep'):
+        timing_of('', lockstep=True, factor=2.0)
+    with pytest.raises(UsageError, match=r'latency perception=0\.15: no effect in a free run'):
+        timing_of('perception=0.15', lockstep=False, factor=1.0)

@@ -38,7 +38,8 @@ def tamper(graph: Any, topic: Topic, how: Tamper) -> None:
     speaker = topic.publishers[0]
     node = next(node for node in graph.nodes if node.get_name() == speaker)
     if speaker == interface.SIMULATOR:
-        node._speakers[topic.name] = _Tampered(node._speakers[topic.name], topic, how)
+        speakers = node.ends.speakers
+        speakers[topic.name] = _Tampered(speakers[topic.name], topic, how)
         return
     name = {interface.ESTIMATE.name: '_estimates', interface.COMMAND.name: '_commands'}[topic.name]
     setattr(node, name, _Tampered(getattr(node, name), topic, how))

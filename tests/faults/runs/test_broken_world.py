@@ -130,15 +130,15 @@ def test_given_a_picture_that_takes_longer_than_answers_may_then_nobody_is_blame
 
 
 def test_given_a_recorder_that_misses_a_message_then_the_run_has_no_verdict(tmp_path, monkeypatch):
-    original, lost = Recorder._step_message, []
+    original, lost = Recorder._record, []
 
     def lose(self, topic, cdr: bytes) -> None:
-        if topic is interface.COMMAND and self._written == STEP and not lost:
+        if topic is interface.COMMAND and not lost and self.bag.written == STEP:
             lost.append(topic)
         else:
             original(self, topic, cdr)
 
-    monkeypatch.setattr(Recorder, '_step_message', lose)
+    monkeypatch.setattr(Recorder, '_record', lose)
     options = GraphOptions(
         perception='truth', out=tmp_path, images='none', timeouts={'answer_timeout': 1.0}
     )

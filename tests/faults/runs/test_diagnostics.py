@@ -182,7 +182,7 @@ def test_ros21_given_a_controller_that_is_silent_then_the_simulator_warns_and_na
         ):
             (result,) = run(graph, request())
         warned = values_of(gatherer.told(*warning))
-        after = simulator_of(graph)._diagnose()
+        after = simulator_of(graph).health()
     assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, STEERING_CONTROLLER)
     if timing is AT_ONCE:
         assert warned['waits for'] == STEERING_CONTROLLER
@@ -221,7 +221,7 @@ def test_ros21_given_nobody_who_asks_or_an_answer_that_fails_then_the_run_is_non
         asked.append(node)
         raise ValueError('no idea')
 
-    monkeypatch.setattr(Simulator, '_diagnose', fail)
+    monkeypatch.setattr(Simulator, 'health', fail)
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
     with composed_graph(options) as graph:
         (result,) = run(graph, request('alone', duration=30.0))

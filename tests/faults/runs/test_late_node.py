@@ -15,8 +15,7 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph, node_processes, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, PERCEPTION, SIMULATOR
-from taxinet_ros.nodes.lockstep.endpoints import missing_nodes
-from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.domain import missing_nodes, own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.simulator import Simulator
 

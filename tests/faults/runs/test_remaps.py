@@ -14,22 +14,18 @@ import pytest
 from graph_runs import request, run
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
-from tampering import changed, tamper
 from waiting import PATIENT_S, wait_for
 
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraKind
 from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
 from taxinet_ros.nodes.interface import (
-    COMMAND,
     PARTICIPANTS,
     PERCEPTION,
     SIMULATOR,
     STEERING_CONTROLLER,
 )
-from taxinet_ros.nodes.lockstep.endpoints import missing_nodes
-from taxinet_ros.nodes.recorder import Recorder
-from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.domain import missing_nodes, own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
@@ -88,14 +84,3 @@ def test_given_remaps_that_all_nodes_share_then_they_find_each_other_and_nothing
         if '__ns:=/left' not in rules:  # where the sampler of the test is not
             (result,) = run(graph, request(duration=1.0))
             assert result.outcome.judged
-
-
-def test_given_a_run_that_broke_and_a_recorder_that_hangs_then_the_first_cause_is_what_is_told(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setattr(Recorder, '_end', lambda *_: None)
-    with remapped_graph(tmp_path, {}, answer_timeout=5.0) as (graph, _nodes):
-        tamper(graph, COMMAND, lambda step, message: [changed(message, speed=-1.0)])
-        (result,) = run(graph, request(duration=1.0))
-    assert (result.kind, result.who) == (InfraKind.PROTOCOL, STEERING_CONTROLLER), result
-    assert result.detail.startswith('commanded ')

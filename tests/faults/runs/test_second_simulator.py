@@ -33,15 +33,17 @@ def disturbed_run(out: Path, stamp_of_step) -> tuple[RunResult, int]:
     """A run in which the clock ticks twice a step; the result, and how many ticks arrived."""
     with composed_graph(GraphOptions(perception='truth', out=out, images='none')) as graph:
         recorder = next(node for node in graph.nodes if node.get_name() == RECORDER)
+        steps = []
 
         def tick(step: int, message):
+            steps.append(recorder.bag.steps)
             if stamp_of_step is None:
                 return [message]
             return [message, Clock(clock=time_of(stamp_of_step(step)))]
 
         tamper(graph, CLOCK, tick)
         (result,) = run(graph, request(duration=5.0))
-        return result, recorder._steps.repeated
+        return result, steps[-1].repeated
 
 
 def test_given_a_clock_that_runs_backwards_then_not_a_byte_changes(tmp_path):

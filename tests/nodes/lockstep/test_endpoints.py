@@ -11,7 +11,7 @@ from std_msgs.msg import String
 
 from taxinet_ros.core import topics
 from taxinet_ros.nodes.interface import LOCKSTEP, Topic
-from taxinet_ros.nodes.lockstep.endpoints import heard_by, hears
+from taxinet_ros.nodes.running.domain import heard_by, hears
 
 TALK = Topic(
     name='t', type_name='std_msgs/msg/String', quality=topics.LOCKSTEP, publishers=('one',),

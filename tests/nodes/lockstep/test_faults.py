@@ -25,7 +25,7 @@ def after_steps(graph, steps: int, act) -> None:
     recorder = node_of(graph, interface.RECORDER)
 
     def wait() -> None:
-        wait_for(lambda: getattr(recorder, '_written', 0) >= steps)
+        wait_for(lambda: recorder.bag is not None and recorder.bag.written >= steps)
         act()
 
     threading.Thread(target=wait, daemon=True).start()

@@ -34,18 +34,12 @@ from taxinet_ros.bag.topics import describe_topic
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec, Verdict
 from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.pacing.stepped_run import check_answer, subnormal
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, quaternion
 from taxinet_ros.errors import InfraError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.lockstep.active_run import check_answer
 from taxinet_ros.nodes.messages import convert
-from taxinet_ros.nodes.messages.step import (
-    Motion,
-    StepCollector,
-    StepMessage,
-    step_reader,
-    subnormal,
-)
+from taxinet_ros.nodes.messages.step import Motion, StepMessage, step_reader
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
@@ -176,7 +170,9 @@ def test_a_number_of_a_wrong_python_type_ends_the_run_and_names_the_cause(topic,
         message.speed = number
     answer = step_reader(topic)(serialize_message(message))
     with pytest.raises(InfraError, match='subnormal, an int or array in a float field') as refused:
-        check_answer(answer, 'somebody', 0)
+        check_answer(
+            'somebody', 0, seq=answer.seq, stamp_ns=answer.stamp_ns, value=answer.value
+        )
     assert (refused.value.kind, refused.value.who) == ('protocol', 'somebody')
 
 
@@ -196,43 +192,3 @@ def test_given_bytes_that_are_no_message_then_one_typed_error_names_the_topic(no
 def test_given_a_topic_of_few_messages_then_its_messages_stay_as_they_are():
     status = NodeStatus(node='perception')
     assert step_reader(interface.NODE_STATUS)(status) is status
-
-
-EXPECTED = {'image': 1, 'truth': 1, 'robustness': 2}
-MESSAGES = [
-    (topic, seq, f'{topic}-{seq}-{i}')
-    for seq in range(5) for topic, count in EXPECTED.items() for i in range(count)
-]
-
-
-def by_topic(seq: int) -> dict[str, list[str]]:
-    return {
-        topic: [f'{topic}-{seq}-{i}' for i in range(count)] for topic, count in EXPECTED.items()
-    }
-
-
-@given(st.permutations(MESSAGES))
-def test_given_messages_in_any_order_then_whole_steps_come_out_in_order(messages):
-    collector = StepCollector(EXPECTED)
-    steps = [step for topic, seq, m in messages for step in collector.add(topic, seq, m)]
-    assert [seq for seq, _ in steps] == [0, 1, 2, 3, 4]
-    for seq, content in steps:
-        assert {topic: sorted(found) for topic, found in content.items()} == by_topic(seq)
-    assert collector.torn() == []
-
-
-def test_given_repeated_messages_then_they_are_counted_and_ignored():
-    collector = StepCollector({'image': 1, 'truth': 1})
-    assert list(collector.add('image', 0, 'first')) == []
-    assert list(collector.add('image', 0, 'again')) == []
-    steps = list(collector.add('truth', 0, 'truth'))
-    assert steps == [(0, {'image': ['first'], 'truth': ['truth']})]
-    assert list(collector.add('truth', 0, 'late')) == []
-    assert collector.repeated == 2
-
-
-def test_given_a_run_that_stops_then_what_was_begun_is_still_there():
-    collector = StepCollector({'image': 1, 'truth': 1})
-    list(collector.add('image', 1, 'b'))
-    list(collector.add('image', 0, 'a'))
-    assert collector.torn() == [(0, {'image': ['a']}), (1, {'image': ['b']})]

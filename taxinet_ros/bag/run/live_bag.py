@@ -1,0 +1,289 @@
+"""The bag of a run whose messages arrive over a graph, in any order and from many topics.
+
+They are written step by step in the order of the topic table, so that equal runs give equal bytes.
+The bag is flushed after each complete step: a crash loses only the current step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
+from taxinet_ros.bag.cdr.decode import decoder
+from taxinet_ros.bag.run.message_values import account_of, scenario_of
+from taxinet_ros.bag.run.messages import header_values, message_cdr
+from taxinet_ros.bag.run.run_bag import (
+    OUTCOME_METADATA,
+    bag_name,
+    canonical_bytes,
+    open_run_bag,
+    outcome_words,
+)
+from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
+from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.topics import describe_topic
+from taxinet_ros.bag.writer import FREE_RUN_METADATA
+from taxinet_ros.core import topics
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
+from taxinet_ros.core.pacing.free_run import FreeRunAccount
+from taxinet_ros.core.pacing.step_collector import FreeProgress, Step, StepCollector
+from taxinet_ros.core.pacing.timing import is_free
+from taxinet_ros.core.topics import Topic
+from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
+from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.errors import InfraError, InfraKind
+
+PATIENT_LOOKS, BROKEN_LOOKS = 70, 5
+"""Number of looks of 0.05 s without a message after which an aborted or failed run is complete.
+
+DDS resends lost messages after 3 s at most.
+"""
+
+
+_DECODE = {
+    topic.name: decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
+    for topic in (topics.NODE_STATUS, topics.TIMING, topics.VERDICT, topics.RUN_STATUS)
+}
+
+
+def stepped_topics(images: bool) -> tuple[Topic, ...]:
+    """Topics with messages in every control step, in the order of the bag."""
+    return tuple(
+        topic for topic in topics.TOPICS
+        if topic.each_step and (images or topic is not topics.IMAGE)
+    )
+
+
+class LiveBag:
+    """Writes one bag; readable at any time, and marked as complete by :meth:`close`.
+
+    Attributes:
+        folder: the run folder.
+        last_seq: last control step of the run.
+        stop_on: when the run ends before that.
+        written: number of control steps written.
+        free: whether it is a free run.
+        ended: last status of the run, once it is known.
+        steps: messages of incomplete steps.
+    """
+
+    def __init__(
+        self, folder: Path, scenario: Any, scenario_cdr: bytes, *, images: bool,
+        attachments: Mapping[str, bytes], min_free_bytes: int, make_parents: bool,
+    ) -> None:
+        """Start the bag.
+
+        Args:
+            folder: the run folder; it must not exist.
+            scenario: scenario message of the run.
+            scenario_cdr: the same, serialised.
+            images: whether there will be camera frames.
+            attachments: files to attach, by name.
+            min_free_bytes: required free disk space [bytes].
+            make_parents: whether to create the folder's parents.
+
+        Raises:
+            UsageError: the folder exists, or the disk is full.
+            BagWriteError: an error of the operating system.
+        """
+        scene = scenario_of(scenario)
+        self.folder = folder
+        self.last_seq = last_step(scene)
+        self.stop_on = parse_stop_on(scenario.stop_on)
+        self.written = 0
+        self.free = False
+        self.ended: Any = None
+        self._stepped = stepped_topics(images)
+        self._expected = {
+            topic.name: len(scenario.specs) if topic.recorded == topics.PER_SPEC else 1
+            for topic in self._stepped
+        }
+        self._canonical = canonical_bytes(images)
+        self._transform_of = OdometryTransforms()
+        self._scenario_cdr, self._camera = scenario_cdr, scene.camera_model
+        self._awaited = topics.NODE_STATUS.speakers(scenario.participants)
+        self._run_id = scenario.run_id
+        self._reports: dict[str, bytes] = {}
+        self.clear()
+        self._writer = open_run_bag(
+            folder, scenario, images=images, attachments=attachments,
+            min_free_bytes=min_free_bytes, make_parents=make_parents,
+        )
+
+    def clear(self) -> None:
+        """Drop steps, verdict and account received so far."""
+        self.steps = StepCollector(self._expected)
+        self._held: list[Step] = []
+        self._verdict: bytes | None = None
+        self._account: FreeRunAccount | None = None
+        self._progress = FreeProgress([
+            topic.name for topic in (*self._stepped, topics.TIMING)
+            if topic.publishers == (topics.SIMULATOR,)
+        ])
+
+    def take(self, topic: Topic, cdr: bytes) -> list[int]:
+        """Take a message of any recorded topic; of another run it is ignored.
+
+        Returns:
+            Control steps that were written.
+
+        Raises:
+            InfraError: it is stamped between two control steps.
+            BagCorrupt: it is not a message of its topic's type.
+        """
+        if topic.name in self._expected:
+            return self._take_step(topic, cdr)
+        message = _DECODE[topic.name](cdr)
+        if message.run_id != self._run_id:
+            return []
+        if topic.name == topics.NODE_STATUS.name:
+            return self._take_report(message, cdr) if message.state == NODE_READY else []
+        if topic.name == topics.TIMING.name:
+            return self._take_timing(message)
+        if topic.name == topics.VERDICT.name:
+            self._verdict = cdr
+        elif topic.name == topics.RUN_STATUS.name and message.state == RUN_ENDED:
+            self.ended, self._ended_cdr = message, cdr
+        return []
+
+    def _take_step(self, topic: Topic, cdr: bytes) -> list[int]:
+        seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
+        if off_ns:
+            what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is not a control step'
+            raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
+        self._progress.arrived(topic.name, seq)
+        whole = self.steps.add(topic.name, seq, cdr)
+        if not whole:
+            return []
+        self._held += whole
+        return self._write_steps()
+
+    def _take_report(self, report: Any, cdr: bytes) -> list[int]:
+        """Once all nodes are ready, the bag has its head."""
+        node = report.node
+        if node in self._reports:
+            return []
+        if node == topics.RECORDER:
+            # Without the bag's topics, which it contains, and its place, which is not its content.
+            cdr = message_cdr(topics.NODE_STATUS, {
+                'header': header_values(0, ''), 'run_id': self._run_id, 'node': node,
+                'state': NODE_READY,
+            })
+        self._reports[node] = cdr
+        if node == topics.SIMULATOR:
+            self.free = is_free(report.implementation)
+            if not (report.implementation or report.detail):
+                self._reports[node] = b''  # default timing in the shipped world: nothing to record
+        if not self._has_head:
+            return []
+        self._write_head()
+        return self._write_steps()
+
+    def _take_timing(self, timing: Any) -> list[int]:
+        """In a free run frames may have no answer, and time does not wait for the recorder."""
+        if timing.ended:
+            self._account = account_of(timing)
+            return []
+        self._held += self.steps.settle(timing.unestimated, timing.uncommanded)
+        self._progress.arrived(topics.TIMING.name, timing.seq)
+        return self._write_steps()
+
+    def news(self) -> tuple[int, int] | None:
+        """Steps of a free run that are written and have arrived, if this is news."""
+        return self._progress.news(self.written - 1) if self.free else None
+
+    # The end ------------------------------------------------------------------------------------
+
+    @property
+    def judged(self) -> bool:
+        """Whether the run has ended with a verdict."""
+        return self.ended is not None and Outcome(self.ended.outcome).judged
+
+    def is_whole(self, silent_looks: int) -> bool:
+        """Whether everything has arrived up to the end of the run.
+
+        Messages from before the end of an aborted run arrive on other topics than the end, which
+        may overtake them.
+
+        Args:
+            silent_looks: number of looks since the last message of a step.
+
+        Raises:
+            RuntimeError: steps of a judged run are missing.
+        """
+        if self.ended is None:
+            return False
+        if self.judged:
+            if self._verdict is None or (self.free and self._account is None):
+                return False
+            last_seq = self.last_seq if self.stop_on is StopOn.NEVER else self.ended.seq
+            if not self.written == last_seq + 1 == self.ended.seq + 1:
+                raise RuntimeError(f'{self.written} of {last_seq + 1} steps were recorded')
+            return True
+        whole = self.written + len(self._held)
+        begun = whole or self.steps.torn() or self.ended.seq > 0
+        if not begun or whole > self.ended.seq:
+            return True
+        # In a free run, unanswered steps never become complete.
+        patient = self.ended.outcome == Outcome.INTERRUPTED and not self.free
+        return silent_looks >= (PATIENT_LOOKS if patient else BROKEN_LOOKS)
+
+    def close(self) -> None:
+        """Write the rest and the end of the run, and mark the bag as complete."""
+        if not self.judged:
+            if not self._has_head:
+                self._write_head()
+            for seq, messages in [*self._held, *self.steps.torn()]:
+                self._write_step(seq, messages)
+        stamp_ns = self.ended.seq * CONTROL_PERIOD_NS
+        if self._verdict is not None:
+            self._write(topics.VERDICT, self._verdict, stamp_ns)
+        self._write(topics.RUN_STATUS, self._ended_cdr, stamp_ns)
+        self._writer.add_metadata(OUTCOME_METADATA, outcome_words(self.ended, self.written))
+        if self._account is not None:
+            self._writer.add_metadata(FREE_RUN_METADATA, {
+                **self._account.to_words(),
+                **{name: f'{x:g}' for name, x in self._account.figures().items()},
+            })
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Stop without marking the bag as complete; keeps what was written."""
+        self._writer.abandon()
+
+    @property
+    def _has_head(self) -> bool:
+        return self._reports.keys() == self._awaited
+
+    def _write_head(self) -> None:
+        self._write(topics.SCENARIO, self._scenario_cdr, 0)
+        for _, cdr in sorted(self._reports.items()):
+            if cdr:
+                self._write(topics.NODE_STATUS, cdr, 0)
+        self._write(topics.TF_STATIC, camera_transform(self._camera), 0)
+
+    def _write_steps(self) -> list[int]:
+        """Write complete steps, once the head of the bag is on disk."""
+        if not self._has_head:
+            return []
+        seqs = [seq for seq, _ in self._held]
+        for seq, messages in self._held:
+            self._write_step(seq, messages)
+        self.written += len(seqs)
+        self._held.clear()
+        return seqs
+
+    def _write_step(self, seq: int, messages: Mapping[str, list[bytes]]) -> None:
+        stamp_ns = seq * CONTROL_PERIOD_NS
+        for topic in self._stepped:
+            for cdr in messages.get(topic.name, ()):
+                self._write(topic, cdr, stamp_ns)
+                if topic is topics.ODOMETRY:
+                    self._write(topics.TF, self._transform_of(cdr), stamp_ns)
+        self._writer.flush()
+
+    def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
+        name = bag_name(topic)
+        self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
