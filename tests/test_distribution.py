@@ -63,7 +63,8 @@ def test_given_the_source_distribution_then_it_has_all_that_builds_installs_and_
     with tarfile.open(next(built.glob('*.tar.gz'))) as archive:
         packed = {one.name.partition('/')[2] for one in archive.getmembers() if one.isfile()}
     wanted = files(
-        'taxinet_ros/**/*', 'scripts/*', 'resource/*', 'package.xml', 'setup.py', 'pyproject.toml',
+        'taxinet_ros/**/*', 'ros2taxinet.py', 'scripts/*', 'resource/*', 'package.xml', 'setup.py',
+        'pyproject.toml',
         'constraints*.txt', 'LICENSE', 'CITATION.cff', 'QUALITY_DECLARATION.md', 'CHANGELOG.rst',
         'README.md', 'MANIFEST.in', *(f'{folder}/**/*' for folder in SHARED),
     )
@@ -81,7 +82,8 @@ def test_given_the_wheel_then_it_has_every_file_that_is_used_and_nothing_else(bu
         points = wheel.read(next(name for name in packed if name.endswith('/entry_points.txt')))
     data = f'taxinet_ros-{taxinet_ros.__version__}.data'
     code = {
-        name for name in files('taxinet_ros/**/*') if not name.endswith(('.cpp', '.hpp'))
+        name for name in files('taxinet_ros/**/*', 'ros2taxinet.py')
+        if not name.endswith(('.cpp', '.hpp'))
     } | {f'taxinet_ros/bag/share/taxinet_msgs/{name}' for name in
          (Path(path).relative_to('msg_defs').as_posix() for path in files('msg_defs/msg/*'))}
     shared = {f'{data}/data/share/taxinet_ros/{name}' for name in files(
@@ -103,6 +105,7 @@ def test_given_the_wheel_then_it_has_every_file_that_is_used_and_nothing_else(bu
     assert {Path(name).name for name in about} == {
         'METADATA', 'WHEEL', 'RECORD', 'LICENSE', 'entry_points.txt', 'top_level.txt'}
     assert b'[console_scripts]\ntaxinet = taxinet_ros.cli.start:main\n' in points
+    assert b'[ros2cli.command]\ntaxinet = ros2taxinet:TaxinetCommand\n' in points
 
 
 def test_given_the_installation_then_the_messages_can_be_built_from_it_alone(monkeypatch, tmp_path):
