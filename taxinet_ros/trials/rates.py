@@ -278,13 +278,6 @@ def sample_size_was_fixed(outcomes: Mapping[int, str], planned: Planned) -> bool
     return whole and (planned is None or len(order) == len(outcomes))
 
 
-def count_outcomes(rows: Sequence[RunRow], leaving_out: Iterable[Outcome] = ()) -> str:
-    """Number of runs by outcome, e.g. ``4 PASS, 3 INFRA_ERROR (2 timeout, 1 died)``."""
-    wanted = [outcome for outcome in Outcome if outcome not in set(leaving_out)]
-    counts = {outcome.value: sum(row.outcome is outcome for row in rows) for outcome in wanted}
-    return count_words(counts, count_kinds(row.kind for row in rows if row.kind))
-
-
 def count_kinds(kinds: Iterable[str]) -> dict[str, int]:
     """Number of infrastructure errors by kind, the most frequent first."""
     return dict(sorted(Counter(kinds).items(), key=lambda kind: (-kind[1], kind[0])))

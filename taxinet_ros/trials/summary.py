@@ -137,7 +137,7 @@ class Summary:
         return statistics.median(self._speeds)
 
     def count_words(self) -> str:
-        """See :func:`.rates.count_outcomes`."""
+        """Number of rows by outcome, e.g. ``4 PASS, 3 INFRA_ERROR (2 timeout, 1 died)``."""
         counts = {outcome.value: self.outcomes[outcome] for outcome in Outcome}
         return count_words(counts, count_kinds(self._kinds.elements()))
 

@@ -32,8 +32,8 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY, TIME_OF_DAY, clock_words
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.trials.experiment import Experiment
-from taxinet_ros.trials.rates import count_outcomes
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.summary import Summary
 
 TEXT = Path(__file__).with_name('page.j2')
 _HOURS = TIME_OF_DAY.key
@@ -220,7 +220,7 @@ def experiment_report(found: PairedArms) -> Report:
         'f': found, 'e': experiment, 'unit': _unit(experiment), 'steering': STEERING,
         'what': name if len(experiment.specs) == 1 else f'all {len(experiment.specs)} formulas',
         'greatest': {one.arm: _greatest_change(found, one) for one in found.comparisons},
-        'unjudged': {arm: count_outcomes(rows) for arm, rows in unjudged.items() if rows},
+        'unjudged': {arm: Summary(rows).count_words() for arm, rows in unjudged.items() if rows},
     }
     pairs: dict[str, Sequence[Picture | Table]] = {
         f'pairs-{one.arm}': (change_picture(found, one), *_flips_tables(found, one))

@@ -82,6 +82,7 @@ def test_given_a_perception_of_ones_own_that_crashes_then_each_run_says_so(engin
         '--images', 'none', '--set', 'duration=1', '--out', 'c', cwd=tmp_path,
     )
     assert done.returncode == 4, done.stdout + done.stderr  # 1 would say that a run was violated
+    assert 'one worker process -> c' in done.stdout
     rows = read_campaign(tmp_path / 'c').rows
     assert [(row.kind, row.who, row.detail) for row in rows] == [
         ('died', 'worker', 'exit code 1')
