@@ -180,6 +180,7 @@ setup(
     extras_require=EXTRAS,
     entry_points={
         'console_scripts': ['taxinet = taxinet_ros.cli.start:main'],
+        'pytest11': [f'{NAME}.pytest_plugin = {NAME}.pytest_plugin'],
         **{
             f'{NAME}.{kind}': [f'{name} = {target}' for name, target in targets.items()]
             for kind, targets in SHIPPED.items()

@@ -25,8 +25,8 @@ from taxinet_ros.trials.record.table import read_table
 
 EXAMPLES = Path(__file__).parents[3] / 'examples'
 PERCEPTION, CONTROLLER = (
-    shlex.join([sys.executable, str(EXAMPLES / f'own_{name}.py')])
-    for name in ('perception', 'controller')
+    shlex.join([sys.executable, str(EXAMPLES / name)])
+    for name in ('my_perception_package/my_perception_package/perception.py', 'own_controller.py')
 )
 SHORT = ('--images', 'none', '--set', 'duration=1')
 

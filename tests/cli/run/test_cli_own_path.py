@@ -13,8 +13,8 @@ from taxinet_ros.bag.run.recording import open_recording
 
 EXAMPLES = Path(__file__).parents[3] / 'examples'
 PERCEPTION, CONTROLLER = (
-    shlex.join([sys.executable, str(EXAMPLES / f'own_{name}.py')])
-    for name in ('perception', 'controller')
+    shlex.join([sys.executable, str(EXAMPLES / name)])
+    for name in ('my_perception_package/my_perception_package/perception.py', 'own_controller.py')
 )
 
 pytestmark = pytest.mark.ros
