@@ -1,8 +1,8 @@
 """What a node or function of a user has to do: each clause is a function.
 
-A clause looks at what was seen of it in several runs, and says what that was; or it raises
-:class:`Broken`, or :class:`NotTried` if there is nothing to judge by. Its docstring is the demand,
-and behind ``Fix:`` how to meet it. ``docs/own_nodes.md`` lists the same, and a test compares both.
+A clause looks at what was seen of it in several runs, and says what that was, or '' if there was
+nothing to judge by; or it raises :class:`Broken`. Its docstring is the demand, and behind ``Fix:``
+how to meet it. ``docs/own_nodes.md`` lists the same, and a test compares both.
 """
 
 from __future__ import annotations
@@ -33,17 +33,12 @@ MOST_CTE_M, MOST_HE_RAD = 100.0, math.pi
 """Estimates beyond are in a wrong unit."""
 MOST_STEERING_RAD, MOST_SPEED_MPS = math.pi / 2, 60.0
 """Commands beyond are in a wrong unit; no aircraft taxis so."""
-_TAXIING_MPS = 10.0
 _DEGREES = 180.0 / math.pi
 _FIELD_REFUSED: Final = re.compile(r"The '\w+' field must be ")
 
 
 class Broken(Exception):  # noqa: N818 (a result, not an error)
     """A clause is broken; the message is what came instead."""
-
-
-class NotTried(Exception):  # noqa: N818
-    """A clause cannot be judged; the message says why, or is empty if another one has to be met."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,13 +209,10 @@ def name(seen: Seen) -> str:
     with use_global_arguments=False
     """
     if not seen.names:
-        raise NotTried
+        return ''
     wanted, shown = f'/{seen.role.node}', ', '.join(seen.names)
     count = seen.names.count(wanted)
-    _unless(
-        '' if count else f'found {shown}',
-        f'{count} nodes are called {wanted}' if count > 1 else '',
-    )
+    _unless(f'{count} nodes are called {wanted}; found {shown}' if count != 1 else '')
     return shown
 
 
@@ -231,7 +223,7 @@ def topics(seen: Seen) -> str:
     """
     role = seen.role
     if f'/{role.node}' not in seen.names:
-        raise NotTried
+        return ''
     spoken = Counter(end.topic.name for end in seen.own(publishes=True))
     inputs = [topic.name for topic in role.hears]
     needed = role.answers.name, graph.NODE_STATUS.name
@@ -255,7 +247,7 @@ def qos(seen: Seen) -> str:
     """
     own = [*seen.own(publishes=True), *seen.own(publishes=False)]
     if not own:
-        raise NotTried
+        return ''
     _unless(*map(_misfit, own), seen.unmatched)
     return f'{len(own)} ends'
 
@@ -282,35 +274,28 @@ def ready(seen: Seen) -> str:
     Fix: publish it on node_status at every Scenario, when the ends are matched; the fingerprint is
     a SHA-256 or empty, listens are the topics that it hears
     """
-    if not seen.runs:
-        raise NotTried
     for run in seen.runs:
-        if not run.ready:
-            if seen.died:
-                raise NotTried
-            other = f'READY for run_id {run.other!r}, not {run.run_id!r}' if run.other else ''
-            error = f'ERROR: {run.error}' if run.error else ''
-            raise Broken(f'run {run.kind}: {error or other or "none came"}')
-    all_ready = [one for run in seen.runs for one in run.ready]
-    _unless(next((words for one in all_ready if (words := _bad_ready(seen, one))), ''))
-    first = all_ready[0]
-    mark = first.fingerprint[:12] or 'no fingerprint: its versions cannot be distinguished'
-    return f'{len(seen.runs)} runs, {first.implementation!r}, {mark}'
-
-
-def _bad_ready(seen: Seen, one: Any) -> str:
-    first = seen.runs[0].ready[0]
-    if one.node != seen.role.node:
-        return f'node is {one.node!r}'
-    if not one.implementation:
-        return 'implementation is empty'
-    if not re.fullmatch('([0-9a-f]{64})?', one.fingerprint):
-        return f'fingerprint is {one.fingerprint!r}'
-    if {*one.listens} != seen.heard:
-        hears = ', '.join(sorted(seen.heard)) or 'nothing'
-        return f'listens is {list(one.listens)}; it hears {hears}'
-    alike = (one.implementation, one.fingerprint) == (first.implementation, first.fingerprint)
-    return '' if alike else 'implementation or fingerprint changes between runs'
+        if not run.ready and seen.died:
+            return ''
+        other = f'READY for run_id {run.other!r}, not {run.run_id!r}' if run.other else ''
+        error = f'ERROR: {run.error}' if run.error else ''
+        _unless('' if run.ready else f'run {run.kind}: {error or other or "none came"}')
+    every = [one for run in seen.runs for one in run.ready]
+    for one in every:
+        _unless(
+            '' if one.node == seen.role.node else f'node is {one.node!r}',
+            '' if one.implementation else 'implementation is empty',
+            '' if re.fullmatch('([0-9a-f]{64})?', one.fingerprint)
+            else f'fingerprint is {one.fingerprint!r}',
+            '' if {*one.listens} == seen.heard
+            else f'listens is {list(one.listens)}; it hears {sorted(seen.heard)}',
+        )
+    marks = {(one.implementation, one.fingerprint) for one in every}
+    _unless('implementation or fingerprint changes between runs' if len(marks) > 1 else '')
+    return ', '.join(
+        f'{name!r}, {sha256[:12] or "no fingerprint: its versions cannot be distinguished"}'
+        for name, sha256 in marks
+    )
 
 
 def waits(seen: Seen) -> str:
@@ -319,7 +304,7 @@ def waits(seen: Seen) -> str:
     Fix: count the subscriptions of your publisher, and the publishers of your input
     """
     if seen.early is None:
-        raise NotTried
+        return ''
     _unless(seen.early)
     return 'waits for both'
 
@@ -330,22 +315,17 @@ def answers(seen: Seen) -> str:
     Fix: publish once from the callback of the input, without conditions
     """
     for run in seen.runs:
-        if run.unasked:
-            raise Broken(f'one before the first frame of run {run.kind}')
-        for one in run.questions:
-            if len(one.answers) > 1 and not one.kind:
-                raise Broken(f'{len(one.answers)} to frame {one.seq} of run {run.kind}')
+        _unless(f'one before the first frame of run {run.kind}' if run.unasked else '', *(
+            f'{len(one.answers)} to frame {one.seq} of run {run.kind}'
+            for one in run.questions if len(one.answers) > 1 and not one.kind
+        ))
     _unless(seen.silence)
-    took_s = [answer.took_s for _, _, answer in seen.answered()]
-    if not took_s:
-        raise NotTried
-    median = statistics.median(took_s)
-    if not median:  # of a function
-        return f'{len(took_s)} of {len(took_s)}'
-    factor = CONTROL_PERIOD_NS / NS_PER_S / median
-    slow = '' if factor >= 1 else '; slower than real time'
-    return f'{len(took_s)} of {len(took_s)}, median {median * 1e3:.1f} ms, max ' \
-        f'{max(took_s) * 1e3:.1f} ms: at most {factor:.3g} x real time{slow}'
+    took_ms = [1e3 * answer.took_s for _, _, answer in seen.answered()]
+    if not took_ms:
+        return ''
+    median = statistics.median(took_ms)
+    slow = '; slower than real time' if median > CONTROL_PERIOD_NS / 1e6 else ''
+    return f'{len(took_ms)}, median {median:.1f} ms, max {max(took_ms):.1f} ms{slow}'
 
 
 def step(seen: Seen) -> str:
@@ -354,7 +334,7 @@ def step(seen: Seen) -> str:
     Fix: copy the stamp; seq is the stamp in ns divided by 100,000,000; a controller copies it
     """
     if not any(seen.answered()):
-        raise NotTried
+        return ''
     for run, one, answer in seen.answered():
         stamp = f'stamp {answer.stamp_ns / NS_PER_S:g} s to frame {one.seq}, of ' \
             f'{one.stamp_ns / NS_PER_S:g}'
@@ -374,7 +354,7 @@ def values(seen: Seen) -> str:
     """
     _unless(seen.bad_numbers)
     if not any(seen.answered()):
-        raise NotTried
+        return ''
     return 'in each answer'
 
 
@@ -398,7 +378,7 @@ def forgets(seen: Seen) -> str:
     """
     first, second, fresh, later = map(seen.whole, ('first', 'second', 'fresh', 'later'))
     if first is None or second is None or seen.bad_numbers:
-        raise NotTried
+        return ''
     again = difference(first, second)
     elsewhere = difference(first, fresh or later or first)
     if again and fresh:
@@ -432,7 +412,7 @@ def bad_input(seen: Seen) -> str:
     ERROR with a detail; a controller brakes: angle 0, speed 0
     """
     if seen.bad_numbers:
-        raise NotTried
+        return ''
     shown = []
     for run in seen.runs:
         for one in run.questions if run.kind == 'strange' else ():
@@ -440,8 +420,10 @@ def bad_input(seen: Seen) -> str:
             shown.append(f'{one.kind}: {came}')
             _unless(shown[-1] if wrong else '')
     after = next((run for run in seen.runs if run.kind == 'after'), None)
-    if not shown or after is None:
-        raise NotTried('' if after is None else 'does not use images')
+    if after is None:
+        return ''
+    if not shown:
+        return 'does not use images'
     if seen.died_in == 'after':
         raise Broken(f'{shown[-1].partition(":")[0]}: {seen.died}')
     _unless('' if after.pairs() else 'no answer to a valid one in the next run')
@@ -467,7 +449,7 @@ def lives(seen: Seen) -> str:
     if seen.died_in not in ('', 'strange', 'after'):  # which are bad_input
         raise Broken(f'run {seen.died_in}: {seen.died}')
     if not seen.runs:
-        raise NotTried
+        return ''
     return f'{len(seen.runs)} runs'
 
 
@@ -478,7 +460,7 @@ def ends(seen: Seen) -> str:
     that it started, and wait for them
     """
     if not seen.endings:
-        raise NotTried
+        return ''
     _unless(*(f'{name}: {wrong}' for name, wrong, _ in seen.endings if wrong))
     return ', '.join(f'{name}: after {after_s:.1f} s' for name, _, after_s in seen.endings)
 
@@ -488,25 +470,25 @@ def accuracy(seen: Seen) -> str:
 
     Fix: divide, or swap the sign; how far they are from the truth is for you to judge
     """
-    pairs = [(true, said) for true, said in seen.runs[0].pairs() if said.usable] \
-        if seen.runs else []
-    if not seen.runs or not seen.runs[0].pairs() or seen.bad_numbers:
-        raise NotTried
+    pairs = [pair for run in seen.runs[:1] for pair in run.pairs() if pair[1].usable]
+    if not any(seen.answered()) or seen.bad_numbers:
+        return ''
     cte, he = (
         np.array([[getattr(true, name), getattr(said, name)] for true, said in pairs])
         for name in ('cte_m', 'he_rad')
     )
-    _unless(*(_suspect(*one) for one in (('CTE', cte), ('HE', he)) if len(pairs) >= len(SIDES)))
+    if len(pairs) >= len(SIDES):
+        _unless(_suspect('CTE', cte), _suspect('HE', he))
     for _, said in pairs:
         if abs(said.cte_m) > MOST_CTE_M or abs(said.he_rad) > MOST_HE_RAD:
             raise Broken(f'{said.cte_m:g} m, {said.he_rad:g} rad: in metres and radians?')
-    if len(pairs) < len(SIDES):
-        return f'{len(pairs)} usable estimates of {len(seen.runs[0].pairs())}'
+    if not pairs:
+        return 'no usable estimate'
     same = ''.join(f', {name} is always the same' for name, both in (('CTE', cte), ('HE', he))
                    if both[:, 1].std() == 0)
-    return f'mean absolute error of {len(pairs)} frames: CTE ' \
-        f'{np.abs(cte[:, 1] - cte[:, 0]).mean():.2f} m, HE ' \
-        f'{np.degrees(np.abs(he[:, 1] - he[:, 0]).mean()):.2f} deg{same}'
+    errors = np.abs([cte[:, 1] - cte[:, 0], np.degrees(he[:, 1] - he[:, 0])]).mean(axis=1)
+    return f'mean absolute error of {len(pairs)} frames: CTE {errors[0]:.2f} m, HE ' \
+        f'{errors[1]:.2f} deg{same}'
 
 
 def _suspect(name: str, pairs: np.ndarray[Any, Any]) -> str:
@@ -530,7 +512,7 @@ def steering(seen: Seen) -> str:
     """
     pairs = seen.runs[0].pairs() if seen.runs else []
     if len(pairs) < len(SIDES) or seen.bad_numbers:
-        raise NotTried
+        return ''
     angle = max(abs(command.steering_rad) for _, command in pairs)
     speed = max(command.speed_mps for _, command in pairs)
     away = [command.steering_rad * (true.cte_m + true.he_rad) > 0 for true, command in pairs]
@@ -545,11 +527,8 @@ def steering(seen: Seen) -> str:
         if angle > MOST_STEERING_RAD else '',
         f'{speed:g} m/s: in m/s?' if speed > MOST_SPEED_MPS else '',
     )
-    still = all(command.steering_rad == 0 for _, command in pairs[:len(SIDES)])
-    fast = ', faster than taxiing; is it in m/s?' if speed > _TAXIING_MPS else ''
-    return f'{"does not steer; " if still else ""}3 m left of the line: ' \
-        f'{math.degrees(first_rad):.1f} deg; at most {math.degrees(angle):.1f} deg, ' \
-        f'{speed:g} m/s{fast}'
+    return f'3 m left of the line: {math.degrees(first_rad):.1f} deg; at most ' \
+        f'{math.degrees(angle):.1f} deg, {speed:g} m/s'
 
 
 Clause = Callable[[Seen], str]
@@ -610,11 +589,10 @@ def judge(seen: Seen, clauses: Sequence[Clause]) -> list[Finding]:
     came: dict[Clause, tuple[Status, str]] = {}
     for clause in clauses:
         try:
-            came[clause] = Status.PASS, clause(seen)
+            words = clause(seen)
+            came[clause] = Status.PASS if words else Status.NOT_TRIED, words
         except Broken as error:
             came[clause] = Status.FAIL, str(error)
-        except NotTried as error:
-            came[clause] = Status.NOT_TRIED, str(error)
     broken = [clause.__name__ for clause, (status, _) in came.items() if status is Status.FAIL]
     first = f'fix {", ".join(broken)} first' if broken else 'not reached'
     return [

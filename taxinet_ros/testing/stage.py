@@ -46,14 +46,15 @@ from taxinet_ros.testing.clauses import (
     End,
     Finding,
     Question,
+    Role,
     Run,
     Seen,
     judge,
     poses,
 )
 
-_START_S, _AWAITED_S = 30.0, 300.0
-"""Timeouts for a node to appear [s]: one started here, as in the simulator, and a user's own."""
+_START_S = 30.0
+"""Timeout for a node to appear [s], as for READY in the simulator."""
 _READY_FACTOR = 3.0
 _LOOK_S = 0.01
 _MOMENT_S = 0.3
@@ -65,17 +66,14 @@ _TAIL_BYTES = 1 << 20
 
 
 def check_node(
-    command: list[str] | None, role: str | None, *, log: Path, say: Callable[[str], None] = print,
-    domain_id: int | None = None, frames: int = 24, patience_s: float = 10.0,
+    command: list[str], role: str | None, *, log: Path, frames: int = 24, patience_s: float = 10.0,
 ) -> tuple[str, list[Finding]]:
     """Drive a node, and judge it.
 
     Args:
-        command: starts the node; None if the user starts it.
+        command: starts the node.
         role: its role; None to detect it from the publishers of the node.
-        log: file for the node's output; must exist.
-        say: called with a line on what is awaited.
-        domain_id: ROS domain; None for a free one.
+        log: file for the node's output.
         frames: number of messages per run.
         patience_s: timeout for an answer; three times as long for READY [s].
 
@@ -86,14 +84,23 @@ def check_node(
         UsageError: the program does not exist.
     """
     require_discovery()
-    with own_domain(domain_id) as domain, NodeExecutor(domain) as spinning:
-        if command is None:
-            say(f'waiting for your node on ROS domain {domain} (ROS_DOMAIN_ID={domain})')
-        stage = _Stage(spinning, domain, log, patience_s, poses(frames))
-        with contextlib.closing(stage):
-            seen = stage.find(command, role)
-            stage.drive()
-        return seen.role.word, judge(seen, CLAUSES[seen.role.word])
+    with own_domain() as domain, NodeExecutor(domain) as spinning:
+        stage = _Stage(spinning, patience_s, poses(frames))
+        for word in [role] if role else ['perception', 'controller']:
+            # Its name depends on its role, so one that proves to be a controller starts again.
+            node = ROLES[word].node
+            words = [*command, '--ros-args', '-r', f'__node:={node}']
+            process = NodeProcess.of_command(
+                node, words, domain=domain, log=log, graces_s=_KEPT_S
+            )
+            try:
+                seen = stage.find(process, ROLES[word])
+                if role or not stage.is_controller():
+                    stage.drive()
+                    break
+            finally:
+                process.end()
+        return word, judge(seen, CLAUSES[word])
 
 
 class _SilenceError(Exception):
@@ -104,50 +111,34 @@ class _Stage:
     """The graph without the checked node, and what that node does."""
 
     _seen: Seen
-    _process: NodeProcess | None = None
+    _process: NodeProcess
     _run: Run | None = None
     _given_up = False
 
-    def __init__(
-        self, spinning: NodeExecutor, domain: int, log: Path, patience_s: float, states: list[Any]
-    ) -> None:
-        self._spinning, self._domain, self._log = spinning, domain, log
-        self._patience_s, self._states = patience_s, states
+    def __init__(self, spinning: NodeExecutor, patience_s: float, states: list[Any]) -> None:
+        self._spinning, self._patience_s, self._states = spinning, patience_s, states
         self._questions: list[tuple[Question, Any]] = []
         self._change = Future()
         self._nodes: dict[str, Node] = {}
         self._publishers: dict[str, Publisher] = {}
         self._watcher = self._join('taxinet_check_node')
 
-    def close(self) -> None:
-        """End the node if it was started here."""
-        if self._process is not None:
-            self._process.end()
-
     # Finding it --------------------------------------------------------------------------------
 
-    def find(self, command: list[str] | None, role_name: str | None) -> Seen:
-        """Start the node, if that is not the user's affair, and wait for its endpoints.
-
-        Its name depends on its role, so one that proves to be a controller is started again.
-        """
-        for word in [role_name] if role_name else ['perception', 'controller']:
-            role = ROLES[word]
-            self._seen = Seen(role=role, frames=len(self._states))
-            if command is not None:
-                self.close()
-                self._process = NodeProcess.of_command(
-                    role.node, [*command, '--ros-args', '-r', f'__node:={role.node}'],
-                    domain=self._domain, log=self._log, graces_s=_KEPT_S,
-                )
-            if self._until(self._strangers, _AWAITED_S if command is None else _START_S):
-                self._until(self._complete, _READY_FACTOR * self._patience_s)
-                self._watch(2 * _MOMENT_S)  # its other endpoints
-            self._dead()
-            spoken = {end.topic.name for end in self._survey() if end.publishes}
-            if spoken & {one.answers.name for one in ROLES.values()} != {interface.COMMAND.name}:
-                break
+    def find(self, process: NodeProcess, role: Role) -> Seen:
+        """Wait for the node's endpoints."""
+        self._process, self._seen = process, Seen(role=role, frames=len(self._states))
+        if self._until(self._strangers, _START_S):
+            self._until(self._complete, _READY_FACTOR * self._patience_s)
+            self._watch(2 * _MOMENT_S)  # its other endpoints
+        self._dead()
+        self._survey()
         return self._seen
+
+    def is_controller(self) -> bool:
+        """Whether it publishes commands, and no estimates."""
+        spoken = {end.topic.name for end in self._seen.ends if end.publishes}
+        return interface.COMMAND.name in spoken and interface.ESTIMATE.name not in spoken
 
     def _strangers(self) -> list[str]:
         """Absolute names of nodes outside the kit."""
@@ -248,22 +239,17 @@ class _Stage:
             run.error = run.error or status.detail or 'no detail'
 
     def _on_answer(self, run: Run, said: StepMessage) -> None:
-        def meant(one: Question) -> bool:
-            return (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
-
-        # A slow answer to a strange image may arrive in the next run.
-        late = [
-            one for past in self._seen.runs if past is not run and past.run_id == said.run_id
-            for one in past.questions if meant(one) and not one.answers
+        meant = [
+            one for one in run.questions if (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
         ]
-        # One that matches no question can only refer to the newest.
-        found = late or [one for one in run.questions if meant(one)] or run.questions
-        if not found:
+        if not run.questions:
             run.unasked = True
             return
-        found[-1].answers.append(Answer(
-            said.value, said.run_id, said.seq, said.stamp_ns,
-            time.monotonic() - found[-1].asked_s, subnormal(said.value),
+        # One that matches no question can only refer to the newest.
+        question = (meant or run.questions)[-1]
+        question.answers.append(Answer(
+            said.value, said.run_id, said.seq, said.stamp_ns, time.monotonic() - question.asked_s,
+            subnormal(said.value),
         ))
 
     def _until(self, condition: Callable[[], object], within_s: float) -> bool:
@@ -273,7 +259,7 @@ class _Stage:
         a busy machine.
         """
         for _ in range(max(1, round(within_s / _LOOK_S))):
-            if condition() or (self._process is not None and self._process.dead):
+            if condition() or self._process.dead:
                 break
             self._change = Future()
             spin_for(self._spinning.executor, self._change, _LOOK_S)
@@ -283,12 +269,10 @@ class _Stage:
         self._until(lambda: False, within_s)
 
     def _dead(self) -> bool:
-        if self._process is None or not self._process.dead:
-            return False
-        if not self._seen.died:
+        if self._process.dead and not self._seen.died:
             self._seen.died = self._process.how_it_ended()
             self._seen.died_in = self._run.kind if self._run else ''
-        return True
+        return self._process.dead
 
     # Driving it --------------------------------------------------------------------------------
 
@@ -312,15 +296,15 @@ class _Stage:
                     strange = Question(seq=0, truth=question.truth, kind=kind)
                     self._make('strange', [(strange, change(picture))])
             self._make('after', self._questions[:1])
-        if self._process is None or self._dead():
+        if self._dead():
             return
-        self._end(self._process, signal.SIGINT)
+        self._end(signal.SIGINT)
         if not self._given_up:
             self._process.start()  # without state of the previous one
             with contextlib.suppress(_SilenceError):
                 self._make('fresh', self._questions)
             if not self._dead():
-                self._end(self._process, signal.SIGTERM)
+                self._end(signal.SIGTERM)
 
     def _first(self) -> None:
         """The first run: test for READY before all endpoints are matched."""
@@ -412,7 +396,8 @@ class _Stage:
         if isinstance(given, Image):
             given.header = header(stamp_ns, interface.CAMERA_FRAME)
             self._say(interface.IMAGE, given)
-            patience_s = _MOMENT_S
+            slowest_s = max((one.took_s for _, _, one in self._seen.answered()), default=0.0)
+            patience_s = min(patience_s, _MOMENT_S + 4 * slowest_s)  # it would mix with the next
         elif frame is None:
             self._say(interface.ESTIMATE, error_cdr(given, run.run_id, seq, stamp_ns))
         self._until(lambda: question.answers or run.error or self._dead(), patience_s)
@@ -430,17 +415,17 @@ class _Stage:
     def _say(self, topic: Any, message: Any) -> None:
         self._publishers[topic.name].publish(message)
 
-    def _end(self, process: NodeProcess, number: signal.Signals) -> None:
+    def _end(self, number: signal.Signals) -> None:
         """Ask the process to end, and record how it does."""
-        self._run = None
-        printed, begun_s = self._log.stat().st_size, time.monotonic()
+        self._run, process, file = None, self._process, self._process.log
+        printed, begun_s = file.stat().st_size, time.monotonic()
         process.send(number)
         self._until(lambda: process.dead, _ENDING_S)
         after_s = time.monotonic() - begun_s
         in_time = process.dead and process.code != -signal.SIGKILL
         process.end()
-        with self._log.open('rb') as log:
-            log.seek(max(printed, self._log.stat().st_size - _TAIL_BYTES))
+        with file.open('rb') as log:
+            log.seek(max(printed, file.stat().st_size - _TAIL_BYTES))
             said = log.read(_TAIL_BYTES).decode(errors='replace')
         left = [line for line in said.splitlines() if line.startswith(CHILDREN_LEFT)]
         wrong = [

@@ -199,7 +199,7 @@ def test_answers_that_differ_in_the_last_digit_are_shown_with_their_difference()
     (-0.05, '3 m left of the line: -8.6 deg; at most'),
     (0.05, 'FAIL steers AWAY, by +0.15 rad where it is left of the centreline'),
     (-2.0, 'FAIL 12 rad: beyond any nose wheel; in radians?'),
-    (0.0, 'does not steer'),
+    (0.0, 'at most 0.0 deg, 4 m/s'),
 ])
 def test_given_commands_then_it_is_told_to_which_side_they_steer(gain, says):
     assert says in came('controller', [
@@ -281,8 +281,8 @@ def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(words
 
 @pytest.mark.parametrize(('words', 'says'), [
     ((f'{HERE}/wrong_node.py',), "give 'python3 "),
-    ((f'{HERE}/wrong_node.py:main', '--role', 'controller', '--frames', '9'),
-     '--frames: '),
+    ((f'{HERE}/wrong_node.py:main', '--role', 'controller', '--patience', '9'),
+     '--patience: '),
 ])
 def test_given_a_file_of_python_then_it_is_no_command(words, says, taxinet):
     code, _, err = taxinet('check-node', *words)
@@ -293,7 +293,7 @@ def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, taxi
     program = tmp_path / 'mine.py'
     program.write_text('#!/bin/sh\necho out of paint\nexit 3\n')
     program.chmod(0o755)
-    words = ('--role', 'controller', '--frames', '8', '--log', 'node.log', '--json')
+    words = ('--role', 'controller', '--log', 'node.log', '--json')
     code, out, err = taxinet('check-node', program, *words)
     assert (code, 'breaks: starts' in err) == (2, True)
     assert json.loads(out)['clauses'][0]['came'] == 'exit code 3: out of paint'
@@ -317,7 +317,7 @@ def test_given_the_docs_then_they_have_each_clause_with_these_words():
         for clause in dict.fromkeys(CLAUSES['perception'] + CLAUSES['controller'])
     ]
     assert lines[begin:begin + len(expected) + 1] == [*expected, '']
-    assert len(lines) <= 160
+    assert len(lines) <= 170
 
 
 @pytest.mark.parametrize('seq', [0, 7])
