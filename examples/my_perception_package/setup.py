@@ -13,5 +13,6 @@ setup(
         (f'share/{NAME}', ['package.xml']),
     ],
     entry_points={'console_scripts': [f'my_perception = {NAME}.perception:main']},
+    extras_require={'test': ['pytest']},  # by which colcon sees that pytest runs the tests
     zip_safe=True,
 )

@@ -92,6 +92,8 @@ class ContractError(AssertionError):
 def check_perception(word: str) -> None:
     """Check that a perception is usable in runs, by :data:`.clauses.CLAUSES`.
 
+    A function answers each (200, 360, 3) uint8 RGB frame with one estimate, or none.
+
     Raises:
         ContractError: it is not.
     """
@@ -100,6 +102,8 @@ def check_perception(word: str) -> None:
 
 def check_controller(word: str) -> None:
     """Check that a controller is usable in runs, by :data:`.clauses.CLAUSES`.
+
+    A function answers every estimate, also unusable ones, with one finite command.
 
     Raises:
         ContractError: it is not.

@@ -73,13 +73,15 @@ def test_given_the_example_then_its_files_agree_with_each_other():
 
 
 def test_given_a_function_of_one_s_own_then_the_campaign_comes_with_its_interval(mine):
-    campaign = run(mine, controller='mine.py:steer', seed=7)
+    # One of the two scenes begins beyond 3.7 m.
+    half = {'specs': ['never=always(abs(cte) < 3.7 m)'], 'at_least': 0.5, 'seed': 7}
+    campaign = run(mine, controller='mine.py:steer', **half)
     assert campaign.folder == mine / 'campaign-1'
-    assert list(campaign.rows['outcome']) == ['PASS', 'PASS']
-    assert campaign.facts['controller'] == 'mine.py:steer'
-    assert campaign.facts['seed'] == 7
-    assert campaign.rates['failed'].rate.other.low == pytest.approx(0.158, abs=0.001)
-    assert run(mine).folder == mine / 'campaign-2'
+    assert list(campaign.rows['outcome']) == ['FAIL', 'PASS']
+    assert (campaign.facts['controller'], campaign.facts['seed']) == ('mine.py:steer', 7)
+    assert campaign.rates['failed'].rate.other.low == pytest.approx(0.0126, abs=0.001)
+    with pytest.raises(AssertionError, match=r'^1 of 2 scenes .* 51% wanted'):
+        run(mine, **{**half, 'at_least': 0.51})
 
 
 @pytest.mark.nightly
