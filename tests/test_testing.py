@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from plugins import lay_down
 
-from taxinet_ros import registry
+from taxinet_ros import registry, testing
 from taxinet_ros.testing import (
     ContractError,
     check_controller,
@@ -142,6 +142,15 @@ def test_given_a_wrong_controller_when_checked_then_it_is_told_how(
     body, said = CONTROLLERS[case]
     (tmp_path / 'mine.py').write_text(f'def steer(estimate):\n    {body}\n')
     with pytest.raises(ContractError, match=f'controller .*mine.py:steer: .*({said})'):
+        check_controller(f'{tmp_path}/mine.py:steer')
+
+
+def test_given_a_function_that_never_returns_when_checked_then_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'mine.py').write_text('def steer(estimate):\n    while True:\n        pass\n')
+    monkeypatch.setattr(testing, '_FUNCTION_S', 2.0)
+    with pytest.raises(ContractError, match=r'lives: .*got: run later: no end within 2 s'):
         check_controller(f'{tmp_path}/mine.py:steer')
 
 

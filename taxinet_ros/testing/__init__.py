@@ -82,7 +82,8 @@ _SPACES = (
     )),
 )
 _SCENE = Scenario(cross_track_m=2.0, heading_rad=0.1, duration_s=1.0)
-_ELSEWHERE_S = 600.0
+_FUNCTION_S, _ELSEWHERE_S = 120.0, 600.0
+"""Time limits of another process: for the runs of a function, and for others [s]."""
 
 
 class ContractError(AssertionError):
@@ -133,7 +134,7 @@ def check_function(role: str, word: str) -> list[Finding]:
     seen = Seen(role=ROLES[role], frames=_FRAMES)
     runs: list[Any] = []
     try:
-        later = _elsewhere(_answers, role, word, 'strange', 'later')[1]
+        later = _elsewhere(_answers, role, word, 'strange', 'later', within_s=_FUNCTION_S)[1]
         runs = [*_answers(role, word, 'first', 'strange', 'second', 'after'), later]
     except ChildProcessError as error:
         seen.died, seen.died_in = str(error), 'later'
@@ -406,7 +407,9 @@ print(json.dumps(getattr(testing, sys.argv[2])(*json.loads(sys.argv[3]))))
 """
 
 
-def _elsewhere(work: Callable[..., Sequence[Any]], *arguments: Any) -> Any:
+def _elsewhere(
+    work: Callable[..., Sequence[Any]], *arguments: Any, within_s: float = _ELSEWHERE_S
+) -> Any:
     """Result of a function of this module in another process.
 
     Raises:
@@ -416,11 +419,11 @@ def _elsewhere(work: Callable[..., Sequence[Any]], *arguments: Any) -> Any:
         done = subprocess.run(
             [sys.executable, '-c', _CHILD, json.dumps(sys.path), work.__name__,
              json.dumps(arguments)],
-            capture_output=True, text=True, timeout=_ELSEWHERE_S, check=False,
+            capture_output=True, text=True, timeout=within_s, check=False,
             env={**os.environ, 'PYTHONHASHSEED': '17'},
         )
     except subprocess.TimeoutExpired as error:
-        raise ChildProcessError(f'no answer in {_ELSEWHERE_S:g} s') from error
+        raise ChildProcessError(f'no end within {within_s:g} s') from error
     if done.returncode or not done.stdout:  # the code of an extension can end it in any way
         last = done.stderr.strip().splitlines()[-1:]
         raise ChildProcessError(': '.join([f'exit code {done.returncode}', *last]))
