@@ -589,15 +589,17 @@ def judge(seen: Seen, clauses: Sequence[Clause]) -> list[Finding]:
     came: dict[Clause, tuple[Status, str]] = {}
     for clause in clauses:
         try:
-            words = clause(seen)
-            came[clause] = Status.PASS if words else Status.NOT_TRIED, words
+            came[clause] = Status.PASS, clause(seen)
         except Broken as error:
             came[clause] = Status.FAIL, str(error)
     broken = [clause.__name__ for clause, (status, _) in came.items() if status is Status.FAIL]
-    first = f'fix {", ".join(broken)} first' if broken else 'not reached'
-    return [
-        Finding(
-            clause=clause.__name__, status=status, expected=demand(clause, seen.role)[0],
-            came=words or first, fix=demand(clause, seen.role)[1],
-        ) for clause, (status, words) in came.items()
-    ]
+    first = Status.NOT_TRIED, f'fix {", ".join(broken)} first'
+    found = []
+    for clause, (status, words) in came.items():
+        if not words:  # silence is no proof
+            status, words = first if broken else (Status.FAIL, 'could not be tried')
+        expected, fix = demand(clause, seen.role)
+        found.append(Finding(
+            clause=clause.__name__, status=status, expected=expected, came=words, fix=fix,
+        ))
+    return found

@@ -86,7 +86,8 @@ def check_node(
     require_discovery()
     with own_domain() as domain, NodeExecutor(domain) as spinning:
         stage = _Stage(spinning, patience_s, poses(frames))
-        for word in [role] if role else ['perception', 'controller']:
+        tried = [role] if role else ['perception', 'controller']
+        for word in tried:
             # Its name depends on its role, so one that proves to be a controller starts again.
             node = ROLES[word].node
             words = [*command, '--ros-args', '-r', f'__node:={node}']
@@ -95,7 +96,7 @@ def check_node(
             )
             try:
                 seen = stage.find(process, ROLES[word])
-                if role or not stage.is_controller():
+                if word == tried[-1] or not stage.is_controller():
                     stage.drive()
                     break
             finally:
