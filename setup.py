@@ -182,6 +182,7 @@ setup(
     entry_points={
         'console_scripts': ['taxinet = taxinet_ros.cli.start:main'],
         'ros2cli.command': ['taxinet = ros2taxinet:TaxinetCommand'],
+        'pytest11': [f'{NAME}.pytest_plugin = {NAME}.pytest_plugin'],
         **{
             f'{NAME}.{kind}': [f'{name} = {target}' for name, target in targets.items()]
             for kind, targets in SHIPPED.items()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from plugins import lay_down
 
-from taxinet_ros import registry
+from taxinet_ros import registry, testing
 from taxinet_ros.testing import (
     ContractError,
     check_controller,
@@ -56,18 +56,19 @@ def test_given_a_shipped_requirement_when_checked_then_it_passes(name: str) -> N
     check_requirement(name)
 
 
+CHANCE = 'import random; return random.random() / 10, 1.0'
 PERCEPTIONS = {
     'degrees': ('return 0.1, 20.0', 'in metres and radians'),
     'centimetres': ('return 250.0, 0.1', 'in metres and radians'),
-    'chance': ('import random; return random.random(), 0.0', 'differ from one making'),
-    'hash order': ('return hash("a") / 2**60, 0.0', 'differ in a worker'),
+    'chance': (CHANCE, r'forgets: .*got: frame 0: \(.*\), then'),
+    'hash order': ('return hash("a") / 2**60, 0.0', 'forgets: .*got: in another process frame 0:'),
     'three numbers': ('return 0, 0, 0', 'expected a pair'),
     'failure': ('return 1 / 0', 'ZeroDivisionError'),
     'texts': ('return "0.1", "0.2"', 'expected a pair'),
     'one text': ('return "12"', 'expected a pair'),
     'counts': (
         'global COUNT; COUNT = globals().get("COUNT", 0) + 1; return COUNT / 100, 0.0',
-        'answers depend on earlier runs',
+        r'forgets: .*got: frame 0: \(0.01, 0.0\), then \(0.12, 0.0\)',
     ),
 }
 
@@ -107,29 +108,30 @@ def test_given_a_package_that_remembers_the_first_frame_when_checked_then_it_is_
         '    return FIRST[0] / 100, 0.0\n'
     )
     lay_down(site, 'first-sight', code, perceptions='first = look')
-    with pytest.raises(ContractError, match='perception first: answers differ in a worker, after'):
+    with pytest.raises(ContractError, match=r'perception first: forgets: .* in another process'):
         check_perception('first')
 
 
 CONTROLLERS = {
-    'degrees': ('return 20.0, 5.0', 'in radians and m/s'),
+    'degrees': ('return 20.0, 5.0', 'in radians'),
     'backwards': ('return 0.0, -1.0', 'speed not negative'),
     'passes NaN on': ('return -estimate.cte_m, 5.0', 'speed not negative|in radians'),
     'no command': ('return None', 'expected a pair'),
     'texts': ('return "0.1", "5"', 'expected a pair'),
     'signs swapped': (
         'return (0.05 * estimate.cte_m if estimate.usable else 0.0), 5.0',
-        r'steers by \+0.25 rad, to the left, where it is left of the centreline',
+        r'steering: .*AWAY, by \+0.15 rad where it is left of the centreline',
     ),
     'heading swapped': (
         'return (estimate.he_rad - 0.1 * estimate.cte_m if estimate.usable else 0.0), 5.0',
-        'to the left, where it is with its nose to the left',
+        r'steering: .*AWAY, by \+0.2 rad where its nose points to the left',
     ),
     'counts': (
         'global COUNT; COUNT = globals().get("COUNT", 0) + 1; return COUNT / 1000, 5.0',
-        'answers depend on earlier runs',
+        r'forgets: .*got: frame 0: \(0.001, 5.0\), then \(0.012, 5.0\)',
     ),
-    'chance': ('import random; return random.random(), 5.0', 'differ from one making'),
+    'chance': (CHANCE, r'forgets: .*got: frame 0: \(.*\), then'),
+    'dies': ('import os; os._exit(0)', 'lives: .*got: run later: exit code 0'),
 }
 
 
@@ -140,6 +142,15 @@ def test_given_a_wrong_controller_when_checked_then_it_is_told_how(
     body, said = CONTROLLERS[case]
     (tmp_path / 'mine.py').write_text(f'def steer(estimate):\n    {body}\n')
     with pytest.raises(ContractError, match=f'controller .*mine.py:steer: .*({said})'):
+        check_controller(f'{tmp_path}/mine.py:steer')
+
+
+def test_given_a_function_that_never_returns_when_checked_then_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'mine.py').write_text('def steer(estimate):\n    while True:\n        pass\n')
+    monkeypatch.setattr(testing, '_FUNCTION_S', 2.0)
+    with pytest.raises(ContractError, match=r'lives: .*got: run later: no end within 2 s'):
         check_controller(f'{tmp_path}/mine.py:steer')
 
 

@@ -254,7 +254,8 @@ def examples() -> str:
     """The example files, whole."""
     files = [
         file for file in sorted((ROOT / 'examples').rglob('*'))
-        if file.is_file() and file.suffix in _LANGUAGES and '__pycache__' not in file.parts
+        if file.is_file() and file.stat().st_size and file.suffix in _LANGUAGES
+        and '__pycache__' not in file.parts
     ]
     return '\n'.join(
         f'\n## {file.relative_to(ROOT / "examples")}\n\n'

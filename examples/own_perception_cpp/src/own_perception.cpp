@@ -1,4 +1,4 @@
-// Perception node in C++ with rclcpp, sensor_msgs and taxinet_msgs. Like ../own_perception.py, it
+// Perception node in C++ with rclcpp, sensor_msgs and taxinet_msgs. Like ../my_perception_package, it
 // implements the contract of docs/own_nodes.md.
 
 #include <chrono>

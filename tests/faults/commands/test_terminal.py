@@ -40,7 +40,8 @@ ALL = (
 )
 RUN = ('program:=nominal', 'runs:=3', 'set:=["duration=600"]')
 TAXINET = str(Path(sys.executable).with_name('taxinet'))
-PERCEPTION = Path(__file__).parents[3] / 'examples' / 'own_perception.py'
+PACKAGE = Path(__file__).parents[3] / 'examples' / 'my_perception_package'
+PERCEPTION = PACKAGE / 'my_perception_package' / 'perception.py'
 DEAF = """
 import runpy, signal, subprocess, sys
 every = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]

@@ -31,6 +31,7 @@ from taxinet_ros.nodes.running.domain import own_domain
 
 REPOSITORY = Path(__file__).parents[3]
 FILE = REPOSITORY / 'launch' / 'taxinet.launch.py'
+PERCEPTION = REPOSITORY / 'examples/my_perception_package/my_perception_package/perception.py'
 NODES = Path(sys.prefix, 'lib', 'taxinet_ros')
 SERVICE = """
 import sys
@@ -207,7 +208,7 @@ def launched(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         (('perception:=original', 'controller:=own.py:straight', 'seed:=1', 'namespace:=n/m'), 1),
         (
             (
-                f'perception:=cmd:{sys.executable} {REPOSITORY}/examples/own_perception.py',
+                f'perception:=cmd:{sys.executable} {PERCEPTION}',
                 'scenario:=nominal', 'namespace:=n',
             ), 0,
         ),

@@ -3,46 +3,46 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
+import json
 import math
 import multiprocessing
-import re
 import sys
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from taxinet_ros.bag.run.messages import observation_messages
-from taxinet_ros.cli.run.check_node import run_check
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
 from taxinet_ros.core.motion.aircraft import Aircraft
+from taxinet_ros.core.pacing.stepped_run import subnormal
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
-from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.messages.step import StepMessage
-from taxinet_ros.nodes.node_check import (
+from taxinet_ros.testing import ContractError, check_controller, clauses
+from taxinet_ros.testing.clauses import (
     CLAUSES,
     ROLES,
     SIDES,
+    Answer,
+    Broken,
     End,
     Finding,
     Question,
     Run,
+    Seen,
     Status,
-    accuracy,
-    bad_value,
-    check_node,
-    command_starter,
+    demand,
     difference,
-    steering,
-    topics_broken,
 )
+from taxinet_ros.testing.stage import check_node
 
 HERE = Path(__file__).parent
 WRONG = str(HERE / 'wrong_node.py')
@@ -52,7 +52,8 @@ AT_ONCE = 6
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
 
-KEPT = {role: [str(EXAMPLES / f'own_{role}.py')] for role in ROLES}
+PERCEPTION = EXAMPLES / 'my_perception_package' / 'my_perception_package' / 'perception.py'
+KEPT = {'perception': [str(PERCEPTION)], 'controller': [str(EXAMPLES / 'own_controller.py')]}
 ODD = 'slow,random,away'
 BEST_EFFORT = QoSProfile(depth=16, reliability=ReliabilityPolicy.BEST_EFFORT)
 FAULTS = {
@@ -71,7 +72,7 @@ FAULTS = {
     'int': ('controller', {'values', 'lives'}, PATIENT_S),
     'strange_image': ('perception', {'bad_input'}, PATIENT_S),
     'dies_later': ('perception', {'bad_input'}, PATIENT_S),
-    ODD: ('controller', {'forgets'}, PATIENT_S),
+    ODD: ('controller', {'forgets', 'steering'}, PATIENT_S),
 }
 
 
@@ -80,18 +81,17 @@ def check(words: list[str], role: str | None, patience_s: float) -> tuple[dict[s
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / 'node.log'
         log.touch()
-        report = check_node(
-            command_starter([sys.executable, *words]), role, print, domain_id=None, frames=8,
-            patience_s=patience_s, log=log,
+        _, found = check_node(
+            [sys.executable, *words], role, frames=8, patience_s=patience_s, log=log,
         )
-        return {one.clause.name: one for one in report.findings}, log.read_text()
+        return {one.clause: one for one in found}, log.read_text()
 
 
 @pytest.fixture(scope='module')
 def checks() -> Iterator[dict[str, Future[tuple[dict[str, Finding], str]]]]:
     """All checks, several at once, since each mostly waits."""
     server = multiprocessing.get_context('forkserver')
-    server.set_forkserver_preload(['taxinet_ros.nodes.node_check'])
+    server.set_forkserver_preload(['taxinet_ros.testing.stage'])
     with ProcessPoolExecutor(AT_ONCE, mp_context=server) as pool:
         yield {
             **{role: pool.submit(check, words, None, PATIENT_S) for role, words in KEPT.items()},
@@ -106,8 +106,8 @@ def checks() -> Iterator[dict[str, Future[tuple[dict[str, Finding], str]]]]:
 def test_given_an_example_then_it_keeps_every_clause(role, checks):
     found, printed = checks[role].result()
     assert found['starts'].came == f'/{ROLES[role].node}'
-    assert found.keys() == {one.name for one in CLAUSES if role in one.roles}
-    assert {name: one.came for name, one in found.items() if one.status is Status.FAIL} == {}
+    assert [*found] == [clause.__name__ for clause in CLAUSES[role]]
+    assert {name: one.came for name, one in found.items() if one.status is not Status.PASS} == {}
     assert printed == ''
 
 
@@ -126,10 +126,15 @@ def test_given_faults_then_their_clauses_fail_and_no_others(faults, checks):
         }
 
 
+def test_given_nothing_to_judge_by_then_no_clause_passes():
+    found = clauses.judge(Seen(role=ROLES['controller'], frames=8), [clauses.waits, clauses.step])
+    assert [one.broken for one in found] == [True, True]
+
+
 def test_given_a_slow_random_node_that_steers_away_then_it_is_told(checks):
     found, _ = checks[ODD].result()
     assert 'unseeded' in found['forgets'].came
-    assert 'slower than real time' in found['time'].came
+    assert 'slower than real time' in found['answers'].came
     assert 'AWAY' in found['steering'].came
     assert 'radians?' in found['steering'].came
 
@@ -145,20 +150,33 @@ PLACES = [
 ]
 
 
+def came(role: str, pairs: list) -> str:
+    """What the clause on the numbers of a role says of answers to a truth, broken or not."""
+    questions = [
+        Question(seq=seq, truth=truth, answers=[Answer(value)])
+        for seq, (truth, value) in enumerate(pairs)
+    ]
+    seen = Seen(role=ROLES[role], frames=len(pairs), runs=[Run(kind='first', questions=questions)])
+    try:
+        return CLAUSES[role][-1](seen)
+    except Broken as error:
+        return f'FAIL {error}'
+
+
 @pytest.mark.parametrize(('cte', 'he', 'says'), [
     (1.0, 1.0, 'CTE 0.00 m, HE 0.00 deg'),
-    (-1.0, 1.0, 'CTE seems to have the wrong sign'),
-    (1.0, -0.5, 'HE seems to have the wrong sign'),
-    (1.0, 180 / math.pi, 'HE looks like degrees'),
+    (-1.0, 1.0, 'FAIL CTE seems to have the wrong sign'),
+    (1.0, -0.5, 'FAIL HE seems to have the wrong sign'),
+    (1.0, 180 / math.pi, 'FAIL HE looks like degrees'),
+    (1.0, 20.0, 'FAIL 0 m, 4 rad: in metres and radians?'),
+    (100.0, 1.0, 'in metres and radians?'),
     (0.0, 1.0, 'CTE is always the same'),
 ])
 def test_given_estimates_with_a_usual_mistake_then_it_is_named(cte, he, says):
-    found = accuracy([
+    assert says in came('perception', [
         (truth, TrackingError(cte_m=cte * truth.cte_m, he_rad=he * truth.he_rad))
         for truth in PLACES
     ])
-    assert says in found
-    assert found.count('looks') == (1 if 'looks' in says else 0)
 
 
 @pytest.mark.parametrize('value', [
@@ -167,109 +185,144 @@ def test_given_estimates_with_a_usual_mistake_then_it_is_named(cte, he, says):
     TrackingError(cte_m=-4.6e-310, he_rad=0.0),
 ])
 def test_subnormal_numbers_are_a_bad_value(value):
-    assert 'subnormal, an int or array in a float field?' in bad_value(value)
-
-
-def test_an_estimate_far_away_has_an_error_of_few_digits():
-    far = TrackingError(cte_m=1e300, he_rad=0.0)
-    assert 'CTE 1e+300 m' in accuracy([(truth, far) for truth in PLACES])
+    answer = Answer(value, doubt=subnormal(value))
+    assert 'subnormal, an int or array in a float field?' in clauses.bad_answer(answer)
 
 
 def test_answers_that_differ_in_the_last_digit_are_shown_with_their_difference():
     first, second = (
-        Run(run_id='r', kind='first', questions=[Question(
+        Run(kind='first', questions=[Question(
             seq=0, truth=PLACES[0],
-            answers=[StepMessage(0, TaxiCommand(steering_rad=0.0, speed_mps=speed_mps))],
+            answers=[Answer(TaxiCommand(steering_rad=0.0, speed_mps=speed_mps))],
         )]) for speed_mps in (5.0, math.nextafter(5.0, 6.0))
     )
     assert difference(first, first) == ''
-    assert difference(first, second) == 'frame 0: (0, 5), then (0, 5.0000000000000009)'
+    assert difference(first, second) == 'frame 0: (0.0, 5.0), then (0.0, 5.000000000000001)'
 
 
 @pytest.mark.parametrize(('gain', 'says'), [
-    (-0.05, '3 m left of the line: -8.6 deg; towards the line'),
-    (0.05, '3 m left of the line: 8.6 deg; steers AWAY from the centreline'),
-    (0.0, 'it does not steer'),
+    (-0.05, '3 m left of the line: -8.6 deg; at most'),
+    (0.05, 'FAIL steers AWAY, by +0.15 rad where it is left of the centreline'),
+    (-2.0, 'FAIL 12 rad: beyond any nose wheel; in radians?'),
+    (0.0, 'at most 0.0 deg, 4 m/s'),
 ])
 def test_given_commands_then_it_is_told_to_which_side_they_steer(gain, says):
-    assert says in steering([
+    assert says in came('controller', [
         (truth, TaxiCommand(
             steering_rad=gain * (truth.cte_m + 10 * truth.he_rad), speed_mps=4.0
         )) for truth in PLACES
     ])
 
 
+def test_a_controller_that_is_away_at_one_of_two_poses_may_know_the_one_before():
+    rads = (-0.1, -0.1, -0.1, 0.1, 0.0, 0.0)
+    assert 'FAIL' not in came('controller', [
+        (truth, TaxiCommand(steering_rad=rad, speed_mps=4.0))
+        for truth, rad in zip(PLACES, rads, strict=True)
+    ])
+
+
+def end(node: str, topic, publishes: bool, qos=None, type_name: str = '') -> End:
+    qos = qos or topic.qos
+    return End(topic, publishes, SimpleNamespace(
+        node_name=node, topic_type=type_name or topic.type_name, qos_profile=qos,
+    ))
+
+
 @pytest.mark.parametrize(('more', 'says'), [
-    ([], []),
-    ([('steering_controller', interface.COMMAND)], ['publishes taxi_command 2 times']),
-    ([('helper', interface.COMMAND)], ['helper publishes taxi_command']),
-    ([('steering_controller', interface.PROGRESS)], ['publishes lockstep/progress']),
+    ([], ''),
+    ([('steering_controller', interface.COMMAND)], 'publishes taxi_command 2 times'),
+    ([('helper', interface.COMMAND)], 'helper publishes taxi_command'),
+    ([('steering_controller', interface.PROGRESS)],
+     'steering_controller publishes lockstep/progress'),
 ])
 def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
     name = 'steering_controller'
     spoken = [(name, interface.COMMAND), (name, interface.NODE_STATUS), *more]
     heard = [(name, interface.SCENARIO), (name, interface.ESTIMATE)]
-    ends = [
-        End(
-            node=node, topic=topic, publishes=publishes, type_name=topic.type_name, qos=topic.qos
-        ) for publishes, of in ((True, spoken), (False, heard)) for node, topic in of
-    ]
-    assert topics_broken(ROLES['controller'], ends) == says
+    seen = Seen(role=ROLES['controller'], frames=8, names=[f'/{name}'], ends=[
+        end(node, topic, publishes) for publishes, of in ((True, spoken), (False, heard))
+        for node, topic in of
+    ])
+    if says:
+        with pytest.raises(Broken, match=f'^{says}$'):
+            clauses.topics(seen)
+    else:
+        assert clauses.topics(seen) == 'hears perception/tracking_error, scenario'
 
 
 @pytest.mark.parametrize(('topic', 'publishes', 'qos', 'says'), [
     (interface.COMMAND, False, QoSProfile(depth=16), ''),
-    (interface.SCENARIO, False, QoSProfile(depth=16), 'volatile asked for, transient local needed'),
-    (interface.COMMAND, True, BEST_EFFORT, 'best effort offered, reliable needed'),
+    (interface.COMMAND, True, QoSProfile(
+        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL), ''),
+    (interface.SCENARIO, False, QoSProfile(depth=16),
+     'scenario: reliable, volatile asked for; reliable, transient_local needed'),
+    (interface.COMMAND, True, BEST_EFFORT,
+     'taxi_command: best_effort, volatile offered; reliable, volatile needed'),
 ])
 def test_given_quality_of_service_then_what_can_lose_messages_is_named(
     topic, publishes, qos, says
 ):
-    misfit = End(node='x', topic=topic, publishes=publishes, type_name='', qos=qos).misfit()
-    assert (says in misfit) if says else misfit == ''
+    seen = Seen(
+        role=ROLES['controller'], frames=8,
+        ends=[end('steering_controller', topic, publishes, qos)],
+    )
+    if says:
+        with pytest.raises(Broken, match=f'^{says}$'):
+            clauses.qos(seen)
+    else:
+        assert clauses.qos(seen) == '1 ends'
 
 
-@pytest.mark.parametrize(('more', 'says'), [
-    ({'log': Path('no_such_folder/x.log')}, 'no such folder: no_such_folder'),
-    ({'log': Path('/')}, 'is a folder'),
-    ({'patience_s': math.nan}, '--patience nan: not a number'),
-    ({'command': str(HERE / 'wrong_node.py')}, "give 'python3 "),
+@pytest.mark.parametrize(('words', 'says'), [
+    (('--log', 'no_such_folder/x.log'), 'No such file or directory'),
+    (('--log', '/'), 'is a directory'),
+    (('--patience', 'nan'), "'--patience': Input should be"),
 ])
-def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(more, says):
-    words = {
-        'command': 'true', 'role': None, 'external': False, 'domain': None, 'frames': 8,
-        'patience_s': 1.0, 'log': None, 'as_json': False, **more,
-    }
-    with pytest.raises(UsageError, match=re.escape(says)):
-        run_check(**words)
+def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(words, says, taxinet):
+    code, out, err = taxinet('check-node', 'true', *words)
+    assert (code, out, says in err) == (2, '', True), err
 
 
-def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, capfd):
+@pytest.mark.parametrize(('words', 'says'), [
+    ((f'{HERE}/wrong_node.py',), "give 'python3 "),
+    ((f'{HERE}/wrong_node.py:main', '--role', 'controller', '--patience', '9'),
+     '--patience: '),
+])
+def test_given_a_file_of_python_then_it_is_no_command(words, says, taxinet):
+    code, _, err = taxinet('check-node', *words)
+    assert (code, says in err) == (2, True), err
+
+
+def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, taxinet):
     program = tmp_path / 'mine.py'
     program.write_text('#!/bin/sh\necho out of paint\nexit 3\n')
     program.chmod(0o755)
-    with pytest.raises(UsageError, match='breaks: starts'):
-        run_check(
-            str(program), role='controller', external=False, domain=None, frames=8,
-            patience_s=60.0, log=tmp_path / 'node.log', as_json=False,
-        )
-    assert 'exit code 3: out of paint' in capfd.readouterr().out
+    words = ('--role', 'controller', '--log', 'node.log', '--json')
+    code, out, err = taxinet('check-node', program, *words)
+    assert (code, 'breaks: starts' in err) == (2, True)
+    assert json.loads(out)['clauses'][0]['came'] == 'exit code 3: out of paint'
     assert (tmp_path / 'node.log').read_text() == 'out of paint\n'
+
+
+def test_the_kit_takes_a_command_as_it_takes_a_function():
+    with pytest.raises(ContractError, match=r'(?s)controller cmd:.*starts: expected: .*fix: run'):
+        check_controller(f'cmd:{sys.executable} {WRONG} controller starts')
 
 
 def test_given_the_docs_then_they_have_each_clause_with_these_words():
     lines = (HERE.parents[2] / 'docs' / 'own_nodes.md').read_text().splitlines()
     begin = lines.index('| clause | what is asked |') + 2
-    words = {
-        'node': '`perception` or `steering_controller`', 'answers': 'its answers',
-        'hears': 'its input',
-    }
+    role = dataclasses.replace(
+        ROLES['controller'], node='`perception` or `steering_controller`',
+        answers=SimpleNamespace(name='its answers'), hears=[SimpleNamespace(name='its input')],
+    )
     expected = [
-        f'| `{clause.name}` | {clause.expected.format(**words)} |'
-        for clause in CLAUSES if not clause.informative
+        f'| `{clause.__name__}` | {demand(clause, role)[0]} |'
+        for clause in dict.fromkeys(CLAUSES['perception'] + CLAUSES['controller'])
     ]
     assert lines[begin:begin + len(expected) + 1] == [*expected, '']
-    assert len(lines) <= 150
+    assert len(lines) <= 170
 
 
 @pytest.mark.parametrize('seq', [0, 7])
@@ -299,7 +352,7 @@ def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq)
 @pytest.mark.parametrize(('role', 'most'), [('perception', 48), ('controller', 41)])
 def test_given_an_example_then_it_is_short(role, most):
     """Lines of code but imports, docstrings and blank ones."""
-    source = (EXAMPLES / f'own_{role}.py').read_text()
+    source = Path(KEPT[role][0]).read_text()
     prose = {
         line for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.Import | ast.ImportFrom)

@@ -12,10 +12,11 @@ import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[3] / 'examples'))
+sys.path.insert(0, str(Path(__file__).parents[3] / 'examples' / 'my_perception_package'))
 
 import own_controller
-import own_perception
 import rclpy
+from my_perception_package import perception as own_perception
 from rclpy.qos import ReliabilityPolicy
 from taxinet_msgs.msg import NodeStatus, Scenario
 

@@ -1,9 +1,9 @@
 """Perception node that needs only rclpy, NumPy and the message package.
 
-Start it in every graph: ``taxinet run s_falsif --perception-cmd 'python3 own_perception.py'``, or
-in a graph that waits for it: ``taxinet up --perception external``. Test it against the contract:
-``taxinet check-node 'python3 own_perception.py'``. It takes the mean position of the bright paint
-in the lower half of the frame as the centreline, which is a poor estimate.
+Start it in every graph: ``taxinet run s_falsif --perception-cmd 'python3 perception.py'``, or in a
+graph that waits for it: ``taxinet up --perception external``. Test it against the contract:
+``taxinet check-node 'python3 perception.py'``. It takes the mean position of the bright paint in
+the lower half of the frame as the centreline, which is a poor estimate.
 """
 
 import contextlib
