@@ -24,6 +24,7 @@ from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.rates import share_bounds
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search, make_estimate
+from taxinet_ros.trials.summary import Summary
 
 pytestmark = pytest.mark.nightly
 
@@ -198,7 +199,7 @@ def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rest
     )
     judging = SimpleNamespace(headline='near')
     search = SimpleNamespace(
-        rows=[], options=SimpleNamespace(judging=judging)
+        rows=[], summary=Summary(), options=SimpleNamespace(judging=judging)
     )
     assert estimate_lines(found, search) == [
         'P(near violated) within [2.5e-05, 0.22 %] (95 %); UNCLEAR: more than 10 times as high as '

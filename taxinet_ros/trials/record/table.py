@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import filterfalse, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from taxinet_ros.bag.layout import is_bag_name, is_run_name
 from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
@@ -155,13 +155,16 @@ def write_tables(
 
     known = list(dict.fromkeys(name for part in parts() for name in _names(_found(part))))
 
-    def write_csv(draft: Path) -> None:
-        with draft.open('w', encoding='utf-8', newline='') as file:
-            for number, frame in enumerate(_frames(parts(), facts, known)):
-                file.write(csv_text(frame, header=number == 0))
+    def frames(file: TextIO) -> Iterator[pd.DataFrame]:
+        for number, frame in enumerate(_frames(parts(), facts, known)):
+            file.write(csv_text(frame, header=number == 0))
+            yield frame
 
-    make_atomically(folder / CSV_NAME, write_csv)
-    write_parquet(folder / PARQUET_NAME, _frames(parts(), facts, known))
+    def write(draft: Path) -> None:  # both at once, as a part is made in some time
+        with draft.open('w', encoding='utf-8', newline='') as file:
+            write_parquet(folder / PARQUET_NAME, frames(file))
+
+    make_atomically(folder / CSV_NAME, write)
 
 
 def csv_text(frame: pd.DataFrame, *, header: bool = True) -> str:
