@@ -96,14 +96,14 @@ def check_perception(word: str) -> None:
         found = make_perception(word)
         complain.unless(type(found.needs_image) is bool, 'needs_image is no bool')
         for number, (frame, truth) in enumerate(_sights()):
-            found.begin()
+            found.begin(_SCENE.rig)
             estimate = found.estimate(frame, truth)
             complain.unless(
                 not estimate.usable
                 or (abs(estimate.cte_m) <= MOST_CTE_M and abs(estimate.he_rad) <= math.pi),
                 f'answers frame {number} with {estimate}: in metres and radians?',
             )
-        found.begin()
+        found.begin(_SCENE.rig)
         complain.unless(
             not found.estimate(None, None).usable, 'has an estimate without frame and truth'
         )
@@ -401,10 +401,10 @@ def _plain(now: Observation) -> list[Any]:
 def _perceive(word: str, after_others: bool = False) -> list[Any]:
     found = make_perception(word)
     if after_others:
-        found.begin()
+        found.begin(_SCENE.rig)
         for frame, truth in reversed(_sights()):
             found.estimate(frame, truth)
-    found.begin()
+    found.begin(_SCENE.rig)
     answers = [found.estimate(frame, truth) for frame, truth in _sights()]
     return [[repr(value) for value in dataclasses.astuple(answer)] for answer in answers]
 

@@ -28,6 +28,7 @@ from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.renderer import OURS, find_renderer
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.processes.pool import SPAWN, ProcessPool, process_pool
@@ -95,8 +96,8 @@ _AHEAD = 2
 T = TypeVar('T')
 Numbered = tuple[int, Scenario]
 """A scene and its number in the dataset."""
-Develop = Callable[[int, NDArray[np.uint8], TrackingError], T]
-"""Computes the result from number, frame (200, 360, 3) uint8 RGB and true error.
+Develop = Callable[[int, NDArray[np.uint8], TrackingError, Rig], T]
+"""Computes the result from number, frame (200, 360, 3) uint8 RGB, true error and rig.
 
 It is called in the rendering process, so it must be importable by name.
 """
@@ -142,7 +143,7 @@ def _take(
 ) -> T:
     index, scene = numbered
     image, truth = photograph(scene, varied=varied, seed=seed, index=index, camera=camera)
-    return develop(index, image, truth)
+    return develop(index, image, truth, scene.rig)
 
 
 def _take_all(take: Callable[[Numbered], T], block: list[Numbered]) -> list[T]:
