@@ -30,9 +30,9 @@ from taxinet_ros.files.reading import MAX_TEXT_BYTES, UnfitFileError, read_file
 
 ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
 ERROR_QUANTITIES = ('cte_m', 'he_deg')
-SOURCE_KINDS = ('program', 'folder', 'runs')
-"""Sources of images: rendered scenes of a Scenic program, a folder with a label table, or the
-failed runs of a campaign."""
+SOURCE_KINDS = ('program', 'folder', 'runs', 'places')
+"""Sources of images: rendered scenes of a Scenic program, a folder with a label table, the failed
+runs of a campaign, or scenes place by place."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,7 +41,7 @@ class Source:
 
     Attributes:
         kind: one of :data:`SOURCE_KINDS`.
-        name: name of the program, folder or campaign.
+        name: name of the program, folder, campaign or places.
         sha256: digest of the program's text, of the folder's labels and images, or of the
             campaign's record.
     """
