@@ -40,6 +40,8 @@ _SIZES = ((360, 200), (360, 240), (480, 270), (640, 360))
 _NAME = Path('random camera')
 _DISTORTED = 0.4
 """Share of the lenses that distort."""
+_NOISY = 0.3
+"""Share of the sensors with noise, which takes as long as the picture."""
 
 
 def random_camera(rng: np.random.Generator, aircraft: str) -> CameraModel:
@@ -68,7 +70,7 @@ def random_camera(rng: np.random.Generator, aircraft: str) -> CameraModel:
             round(height * rng.uniform(0.28, 0.5), 1),
         ],
         'exposure_ev': round(rng.normal(0, 0.3), 2),
-        'noise_codes': round(rng.uniform(0, 4), 1),
+        'noise_codes': round(rng.uniform(1, 4), 1) if rng.uniform() < _NOISY else 0.0,
     }
     if rng.uniform() < _DISTORTED:
         bend = rng.uniform(-0.24, 0.02)

@@ -135,6 +135,7 @@ def make_dataset(
     varied: bool = False,
     seed: int = 0,
     view: str | None = None,
+    chunk: int = 0,
     progress: Progress = no_progress,
     stage: str = 'images',
     unfinished: Unfinished | None = None,
@@ -148,6 +149,7 @@ def make_dataset(
         seed: seed of these variations.
         view: virtual camera through which the pictures are seen, a name of
             :data:`~taxinet_ros.core.perception.eye.VIEWS`; None for the frames as they are.
+        chunk: as for :func:`.photographs`.
         progress: called after every picture.
         stage: name of the stage for ``progress``.
         unfinished: record to keep the pictures in; those in it are not rendered again.
@@ -161,7 +163,8 @@ def make_dataset(
     pictures = np.empty((len(scenes), *INPUT_SHAPE), np.uint8)
     truth = np.empty((len(scenes), 2))
     taken = photographs(
-        missing, partial(_shrunk, view), varied=varied, seed=seed, workers=workers
+        missing, partial(_shrunk, view), varied=varied, seed=seed, workers=workers,
+        chunk=chunk,
     )
     for row in range(len(scenes)):
         if row in known:

@@ -105,7 +105,7 @@ It is called in the rendering process, so it must be importable by name.
 
 def photographs(
     scenes: Iterable[Numbered], develop: Develop[T], *, varied: bool, seed: int, workers: int,
-    camera: str = OURS,
+    camera: str = OURS, chunk: int = 0,
 ) -> Generator[T, None, None]:
     """Render scenes and yield the result of ``develop`` for each, in order.
 
@@ -118,6 +118,7 @@ def photographs(
         seed: seed of these variations.
         workers: number of processes; 1 is this one.
         camera: who takes the pictures.
+        chunk: most scenes, of one place, that a process gets at a time; 0 for a few.
 
     Raises:
         UsageError: the camera cannot show a scene.
@@ -129,7 +130,7 @@ def photographs(
             yield take(scene)
         return
     # A process that receives a whole block makes its common ground only once.
-    blocks = _blocks(scenes, GROUND_BLOCK if varied else _CHUNK)
+    blocks = _blocks(scenes, max(chunk, GROUND_BLOCK if varied else _CHUNK))
     stop = SPAWN.Event()
     with process_pool(workers, 'rendering worker', _start_worker, stop) as pool:
         try:
@@ -151,7 +152,12 @@ def _take_all(take: Callable[[Numbered], T], block: list[Numbered]) -> list[T]:
 
 
 def _blocks(scenes: Iterable[Numbered], size: int) -> Iterator[list[Numbered]]:
-    for _, block in itertools.groupby(scenes, key=lambda numbered: numbered[0] // size):
+    """Consecutive scenes of one place, since its ground takes half a second, too."""
+    def key(numbered: Numbered) -> tuple[str, int]:
+        number, scene = numbered
+        return scene.place, number // size
+
+    for _, block in itertools.groupby(scenes, key=key):
         yield list(block)
 
 

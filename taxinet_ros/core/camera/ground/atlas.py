@@ -217,7 +217,7 @@ def _lay_runway(
     band = Grid(rows=grid.rows, columns=end - first, x0_m=grid.x0_m, dx_m=grid.dx_m,
                 y0_m=grid.y0_m + first * grid.dy_m, dy_m=grid.dy_m)  # fmt: skip
     surface = runway_surface(band, style, runway)
-    colours = cv2.LUT(cv2.merge([surface] * 3), pavement_colours(style))
+    colours = np.asarray(cv2.LUT(cv2.merge([surface] * 3), pavement_colours(style)), np.uint8)
     _darken_shoulders(colours, band, style, runway)
     x, y = band.centres(slice(0, band.rows))
     paved = np.abs(y) <= runway.half_width_m + runway.shoulder_m
