@@ -76,7 +76,8 @@ void Warp::add_pixel(const std::int32_t *places, int unseen) {
             taps_.push_back({lesser(at, last), {}});
             tap = &taps_.back();
         }
-        tap->weight[at - tap->offset] = static_cast<std::int16_t>(tap->weight[at - tap->offset] + weight);
+        std::int16_t &sum = tap->weight[at - tap->offset];
+        sum = static_cast<std::int16_t>(sum + weight);  // at most 2^14
     }
 }
 
