@@ -45,6 +45,14 @@ def can_be_called(function: Callable[..., Any], *values: str, **named: Any) -> b
     return True
 
 
+def has_parameter(function: Callable[..., Any], name: str) -> bool:
+    """Whether a function, a user's too, says that it has a parameter of this name."""
+    try:
+        return name in inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        return False
+
+
 class Kind(NamedTuple):
     """Kind of value that a parameter accepts.
 

@@ -36,6 +36,7 @@ from taxinet_ros.arguments import (
     WORD,
     Kind,
     a,
+    has_parameter,
     says_parameters,
     takes,
     told,
@@ -69,6 +70,7 @@ from taxinet_ros.core.perception.perception import (
     network_doubts,
     read_estimate,
 )
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.trace import (
@@ -634,8 +636,8 @@ def asked_perception(given: str | Perception | Look) -> Perception:
         return make_perception(given)
     if isinstance(given, GroundTruth | NetworkPerception | UserPerception):
         return given
-    _check_answering('perception', given, 'estimate', 2)
-    _check_starting('perception', given, 0)
+    _check_answering('perception', given, 'estimate', 2, 'rig')
+    _check_starting('perception', given, 0, 'rig')
     return _FunctionPerception(given)
 
 
@@ -650,34 +652,42 @@ def asked_controller(given: str | Controller | Steer) -> Controller:
     return _FunctionController(given)
 
 
-def _check_answering(name: str, given: Any, method: str, arguments: int) -> None:
-    """Check that it is a function of one argument, or has the method."""
+def _check_answering(
+    name: str, given: Any, method: str, arguments: int, *more: str
+) -> None:
+    """Check that it is a function of one argument, and maybe of these, or has the method."""
     answer, count = getattr(given, method, None), arguments
     if answer is None:
         answer, count = given, 1
     if isinstance(given, type) or not callable(answer):
         told_words = given if isinstance(given, int | float) else told(given)
         raise UsageError(f'{name}: {told_words} is neither a word, a {name} nor a function')
-    if why := _misfit(answer, count):
+    if why := _misfit(answer, count, *more):
         raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {why}')
 
 
-def _check_starting(name: str, given: Any, most: int) -> None:
+def _check_starting(name: str, given: Any, most: int, *more: str) -> None:
     """Check that ``begin``, with at most ``most`` arguments, and ``reset`` can be called."""
     for method in ('begin', 'reset'):
         start = getattr(given, method, None)
         if start is None:
             continue
-        misfits = [_misfit(start, count) for count in range(most + 1 if method == 'begin' else 1)]
+        misfits = [
+            _misfit(start, count, *more) for count in range(most + 1 if method == 'begin' else 1)
+        ]
         if not callable(start) or all(misfits):
             what = 'the scenario or nothing' if len(misfits) > 1 else 'no argument'
             raise UsageError(f'{name}: {method} of {told(given)} cannot be called with {what}')
 
 
-def _misfit(function: Any, count: int) -> str:
-    """Why a function cannot be called with ``count`` arguments; '' if it can."""
+def _misfit(function: Any, count: int, *more: str) -> str:
+    """Why a function cannot be called with ``count`` arguments; '' if it can.
+
+    With those of further ones, by name, for which it has parameters.
+    """
+    named = {name: None for name in more if has_parameter(function, name)}
     try:
-        inspect.signature(function).bind(*range(count))
+        inspect.signature(function).bind(*range(count), **named)
     except TypeError as error:
         return str(error)
     except ValueError:  # compiled functions may have no signature
@@ -710,6 +720,17 @@ class _FunctionPerception(_Function, Perception):
     def __init__(self, given: Any) -> None:
         super().__init__(given)
         self.needs_image = bool(getattr(given, 'needs_image', True))
+        self._named: dict[str, Rig | None] = {}
+
+    def begin(self, rig: Any = None) -> None:
+        """Call its ``begin``, with the rig if it takes one, or its ``reset``."""
+        begin = getattr(self._given, 'begin', None)
+        if begin is not None and has_parameter(begin, 'rig'):
+            begin(rig=rig)
+            return
+        super().begin()
+        if not hasattr(self._given, 'estimate'):
+            self._named = {'rig': rig} if has_parameter(self._given, 'rig') else {}
 
     def estimate(self, image: Frame | None, truth: TrackingError | None) -> TrackingError:
         """Return the function's estimate."""
@@ -720,7 +741,7 @@ class _FunctionPerception(_Function, Perception):
         if hasattr(self._given, 'estimate'):
             answer = self._given.estimate(seen, None if self.needs_image else truth)
         else:
-            answer = self._given(truth if seen is None else seen)
+            answer = self._given(truth if seen is None else seen, **self._named)
         found = read_estimate(answer)
         if found is None:
             raise UsageError(

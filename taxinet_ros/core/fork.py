@@ -20,6 +20,7 @@ from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
 from taxinet_ros.core.motion.aircraft import Aircraft, Placed
 from taxinet_ros.core.motion.controller import Controller
 from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
@@ -225,10 +226,10 @@ class ReplayedPerception(Perception):
         self._after, self._recorded, self._same = after, recorded, same
         self._seq = 0
 
-    def begin(self) -> None:
+    def begin(self, rig: Rig | None = None) -> None:
         """Reset."""
         self._seq = 0
-        self._after.begin()
+        self._after.begin(rig)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None

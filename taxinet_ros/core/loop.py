@@ -108,7 +108,7 @@ def run_closed_loop(
         The judgement of the run.
     """
     controller = controller or SteeringLaw(SteeringGains())
-    perception.begin()
+    perception.begin(scenario.rig)
     controller.begin(scenario)
     pictures = perception.needs_image or controller.needs_image
     with closing(make_world(scenario, pictures=pictures)) as world:

@@ -33,6 +33,7 @@ from taxinet_ros.core.rig.catalogue import (
     find_aircraft,
     find_camera,
 )
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CAMERA,
@@ -294,6 +295,11 @@ class Scenario:
         if not any(value for _, value in offsets):
             return camera
         return moved_camera(camera, tuple(field.to_human(value) for field, value in offsets))
+
+    @property
+    def rig(self) -> Rig:
+        """Its camera and aircraft together."""
+        return Rig(camera=self.camera_model, aircraft=self.aircraft_model)
 
     @property
     def dataref_values(self) -> Mapping[str, Number]:

@@ -26,7 +26,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, TypeGuard, TypeVar
 
-from taxinet_ros.arguments import can_be_called
+from taxinet_ros.arguments import can_be_called, has_parameter
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 from taxinet_ros.registry import Extension
@@ -144,12 +144,13 @@ class UserCode:
         return made
 
     def _check_call(self, made: Callable[..., Any]) -> None:
-        """Check that what answers takes one argument.
+        """Check that what answers takes one argument, and maybe ``rig``.
 
         Raises:
             UsageError: it takes more, or none.
         """
-        if not can_be_called(made, 'seen'):
+        asked = {'rig': None} if has_parameter(made, 'rig') else {}
+        if not can_be_called(made, 'seen', **asked):
             raise UsageError(
                 f'{self.where}: {self.name} cannot be called with one argument; expected a '
                 'function of one argument'
@@ -290,7 +291,7 @@ class RunCode:
             raise UserCodeError(str(error)) from error
 
     def answer(
-        self, argument: Any, read: Callable[[Any], _Answer | None], expected: str
+        self, argument: Any, read: Callable[[Any], _Answer | None], expected: str, **named: Any
     ) -> _Answer:
         """Call the function.
 
@@ -298,13 +299,14 @@ class RunCode:
             argument: its argument.
             read: converts its result, or returns None; may also run its code.
             expected: description of the expected result.
+            named: further arguments, for which it has parameters.
 
         Raises:
             UserCodeError: it fails, or its result is invalid.
         """
         self._fresh = False
         with self.code.running(UserCodeError):
-            answer = self.function(argument)
+            answer = self.function(argument, **named)
             found = read(answer)
             shown = _text(answer, repr)[:60] if found is None else ''
         if found is None:

@@ -366,7 +366,7 @@ def _answers(role: str, word: str, *kinds: str) -> list[Any]:
         values: list[dict[str, Any]] = []
         error = ''
         try:
-            found.begin()
+            found.begin(*([SCENE.rig] if role == 'perception' else []))
             for question, given in _asked(role, kind):
                 answer = found.estimate(given, question.truth) if role == 'perception' \
                     else found.command(given)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.perception.weights import ERROR_QUANTITIES
 from taxinet_ros.core.renderer import OURS, find_renderer
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
@@ -36,7 +37,8 @@ SLICES: dict[str, Callable[[Scenario], bool]] = {
 }
 """Parts of S_falsif that the paper's analysis distinguishes, with their membership tests."""
 
-_Frame = tuple[NDArray[np.uint8], TrackingError]
+_Frame = tuple[NDArray[np.uint8], TrackingError, Rig | None]
+"""A picture, its label, and the rig that took it, if known."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -219,7 +221,11 @@ def _measure(
     perception: Perception, frames: Iterable[_Frame], images: int, progress: Progress
 ) -> _Measured:
     measured = _Measured(np.full((images, 2), math.nan), np.full((images, 2), math.nan))
-    for row, (image, truth) in enumerate(frames):
+    current: Rig | None = None
+    for row, (image, truth, rig) in enumerate(frames):
+        if rig != current:
+            perception.begin(rig)
+            current = rig
         measured.truth[row] = truth.cte_m, truth.he_rad
         seen = perception.estimate(image, None)
         if seen.valid:
@@ -228,10 +234,10 @@ def _measure(
     return measured
 
 
-def _whole(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Frame:
-    return image, truth
+def _whole(index: int, image: NDArray[np.uint8], truth: TrackingError, rig: Rig) -> _Frame:
+    return image, truth, rig
 
 
 def _frames(folder: ImageFolder) -> Iterator[_Frame]:
     for row, frame in enumerate(folder.frames):
-        yield folder.picture(row)[0], frame.truth
+        yield folder.picture(row)[0], frame.truth, None

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from taxinet_ros.core.perception.eye import VIEWS
 from taxinet_ros.core.perception.weights import SUFFIX, Source, card_path
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import SAMPLERS
@@ -47,10 +48,14 @@ class TrainOptions:
         validation_program: program of the validation scenes, which are those that a training on it
             with the same seed and number of images would hold out; None for ``program``.
         add: pictures added to those of ``program``, with validation pictures in proportion.
+        places: places of the scenes in place of a program, words of
+            :func:`~taxinet_ros.training.data.places.named_places`.
+        view: virtual camera through which the network sees, a name of
+            :data:`~taxinet_ros.core.perception.eye.VIEWS`; None for the frames as they are.
         start: initial weights, as a file or a shipped network's word; None for random ones.
-        images: number of training pictures, one per scene of the program.
-        validation: number of further scenes of the program, or rows of the data, held out to choose
-            the epoch and to measure the errors.
+        images: number of training pictures, one per scene of the program or of the places.
+        validation: number of further scenes of the program or of other places, or rows of the
+            data, held out to choose the epoch and to measure the errors.
         varied: whether the look of the rendered world varies.
         augment: whether every picture is augmented in each epoch.
         epochs: number of passes over all pictures.
@@ -73,6 +78,8 @@ class TrainOptions:
     sampler: str = 'random'
     validation_program: str | None = None
     add: tuple[Portion, ...] = ()
+    places: tuple[str, ...] = ()
+    view: str | None = None
     start: str | None = None
     images: int = 12_000
     validation: int = 1_500
@@ -92,13 +99,16 @@ class TrainOptions:
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
                 raise UsageError(f'train: {name} is {value:g}, outside {low:g}..{high:g}')
-        if (self.program is None) == (not self.data):
-            both = self.program is not None
+        if (given := sum(map(bool, (self.program, self.places, self.data)))) != 1:
+            which = ('several of', 'and') if given else ('neither', 'nor')
             raise UsageError(
-                f'train: {"both" if both else "neither"} a program {"and" if both else "nor"} '
-                '--data given; give exactly one'
+                f'train: {which[0]} a program, --place {which[1]} --data given; give exactly one'
             )
-        if self.program is None:
+        if self.view is not None and self.view not in VIEWS:
+            raise UsageError(
+                f'train: view {self.view!r} is unknown; known: {", ".join(VIEWS)}'
+            )
+        if self.data:
             self._check_data()
         elif self.validation_data is not None:
             raise UsageError('train: --validation-data goes with --data, not with a program')
@@ -107,11 +117,15 @@ class TrainOptions:
             raise UsageError(f'train: sampler {self.sampler!r} is unknown; known: {known}')
         elif self.batch > self.images:
             raise UsageError(f'train: a batch of {self.batch} is more than {self.images} images')
+        elif self.places and (self.sampler != 'random' or self.validation_program):
+            option = '--validation-program' if self.validation_program else '--sampler'
+            raise UsageError(f'train: {option} goes with a program, not with --place')
 
     def _check_data(self) -> None:
         for option, given in (
             ('--varied', self.varied), ('--sampler', self.sampler != 'random'),
             ('--validation-program', self.validation_program), ('--add or --add-runs', self.add),
+            ('--view', self.view),
         ):
             if given:
                 raise UsageError(
@@ -130,6 +144,9 @@ class TrainOptions:
         words = ['taxinet', 'train', *([] if self.program is None else [self.program])]
         for folder in self.data:
             words += ['--data', str(folder)]
+        for place in self.places:
+            words += ['--place', place]
+        words += [] if self.view is None else ['--view', self.view]
         if self.validation_data is not None:
             words += ['--validation-data', str(self.validation_data)]
         words += self._rendering_words()
@@ -175,7 +192,7 @@ class TrainOptions:
         return words
 
     def _numbers(self) -> list[str]:
-        names = ['images'] if self.program is not None else []
+        names = [] if self.data else ['images']
         names += ['validation'] if self.validation_data is None else []
         names += ['epochs', 'batch', 'learning_rate']
         return [*names, *(['patience'] if self.patience else []), 'seed']

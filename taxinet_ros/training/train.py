@@ -1,4 +1,4 @@
-"""Train a network on a Scenic program or folders of labelled images; write weights and card."""
+"""Train a network on a Scenic program, places or folders of labelled images; write its files."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from taxinet_ros.core.perception.weights import (
     weights_path,
 )
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CAMERA, PLACE
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.training.accuracy import history_csv
@@ -37,6 +38,7 @@ from taxinet_ros.training.data.dataset import (
     no_progress,
 )
 from taxinet_ros.training.data.image_folder import folders_domain, load_folders
+from taxinet_ros.training.data.places import named_places, places_scenes, places_source
 from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.data.unfinished import Unfinished
 from taxinet_ros.training.options import TrainOptions
@@ -48,6 +50,10 @@ if TYPE_CHECKING:
 
 IMAGES = 'training and validation images'
 """The stage in which scenes are rendered, those added and those held out included."""
+VALIDATION_PLACES = 'random:validation'
+"""Places whose pictures choose the epoch of a training on places."""
+_PLACE_CHUNK = 512
+"""Pictures that a process makes at one place."""
 _SPLIT = 2
 """Stream key that separates the random numbers of the split from those of the training."""
 
@@ -85,8 +91,8 @@ def get_training_data(
         UsageError: a program, campaign or folder cannot be used, or has too few pictures.
         InfraError: a worker process died, or the simulator failed.
     """
-    if options.program is not None:
-        return _render_scenes(options, options.program, progress, begin)
+    if not options.data:
+        return _render_scenes(options, progress, begin)
     material = _read_folders(options, progress)
     begin((*material.training_data, *material.validation_data))
     return material
@@ -101,29 +107,56 @@ class _SceneGroup:
 
 
 def _render_scenes(
-    options: TrainOptions, program: str, progress: Progress,
+    options: TrainOptions, progress: Progress,
     begin: Callable[[Sequence[Source]], Unfinished | None],
 ) -> TrainingData:
-    other = options.validation_program
-    sources = (program_source(program), *(portion.source() for portion in options.add))
-    validation_data = () if other is None else (program_source(other),)
+    other, program = options.validation_program, options.program
+    validation_data: tuple[Source, ...] = ()
+    if program is None:
+        own = tuple(map(places_source, options.places))
+        validation_data = (places_source(VALIDATION_PLACES),)
+        lots = _place_scenes(options, progress)
+    else:
+        own = (program_source(program),)
+        validation_data = () if other is None else (program_source(other),)
+        lots = _program_scenes(options, program, progress)
+    sources = (*own, *(portion.source() for portion in options.add))
     # The program's own groups come first, so that additions do not change their pictures.
-    lots = [*_program_scenes(options, program, progress), *_added_scenes(options, progress)]
+    lots += _added_scenes(options, progress)
     # Only now: a bad program leaves nothing behind.
     unfinished = begin((*sources, *validation_data))
     dataset = make_dataset(
         list(itertools.chain.from_iterable(lot.scenes for lot in lots)),
-        workers=options.workers, varied=options.varied, seed=options.seed, progress=progress,
-        stage=IMAGES, unfinished=unfinished,
+        workers=options.workers, varied=options.varied, seed=options.seed, view=options.view,
+        chunk=_PLACE_CHUNK if options.places else 0, progress=progress, stage=IMAGES,
+        unfinished=unfinished,
     )
     held_back = np.repeat([lot.held_back for lot in lots], [len(lot.scenes) for lot in lots])
     return TrainingData(
         training=dataset.take(~held_back), validation=dataset.take(held_back),
         training_data=sources, validation_data=validation_data,
-        domain=domain_of_scenes(
-            scene.to_human() for lot in lots if not lot.held_back for scene in lot.scenes
-        ),
+        domain=_domain(options, [lot.scenes for lot in lots if not lot.held_back]),
     )
+
+
+def _domain(options: TrainOptions, groups: Sequence[Sequence[Scenario]]) -> Domain:
+    """What scenes show; of a world of places and cameras no names, but their ranges."""
+    domain = domain_of_scenes(scene.to_human() for scenes in groups for scene in scenes)
+    unnamed = (PLACE.key, *([CAMERA.key] if options.view else [])) if options.places else ()
+    return {key: values for key, values in domain.items() if key not in unnamed}
+
+
+def _place_scenes(options: TrainOptions, progress: Progress) -> list[_SceneGroup]:
+    """Scenes of the places, and those of others that are held out."""
+    def scenes(places: Sequence[str], count: int) -> list[Scenario]:
+        cameras = options.view is not None
+        return places_scenes(places, count, options.seed, cameras=cameras, progress=progress)
+
+    others = named_places([VALIDATION_PLACES])[:options.validation]
+    return [
+        _SceneGroup(scenes(named_places(options.places), options.images), False),
+        _SceneGroup(scenes(others, options.validation), True),
+    ]
 
 
 def _program_scenes(options: TrainOptions, program: str, progress: Progress) -> list[_SceneGroup]:
@@ -211,7 +244,13 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
         InfraError: a worker process died, or the simulator failed.
     """
     options.check_out()
+    named_places(options.places)
     start = None if options.start is None else load_model(weights_path(options.start))
+    if start is not None and start.card.view != options.view:
+        raise UsageError(
+            f'train: --start {options.start}: sees through the view {start.card.view or "none"}, '
+            f'not {options.view or "none"}'
+        )
     with contextlib.ExitStack() as opened:
         def begin(sources: Sequence[Source]) -> Unfinished:
             request = options.request(sources, '' if start is None else start.fingerprint)
@@ -265,6 +304,7 @@ def _write(
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         command_line=options.command_line,
         start_sha256=None if start is None else start.fingerprint,
+        view=options.view,
         domain=joined_domains(
             [material.domain, *([] if start is None else [start.card.domain])]
         ),

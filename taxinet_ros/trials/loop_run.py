@@ -28,6 +28,7 @@ from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.system import System
 from taxinet_ros.core.types import TaxiCommand, TrackingError
@@ -330,9 +331,9 @@ class _Eyes(Perception):
         self.word, self.fingerprint = perception.word, perception.fingerprint
         self.needs_image = perception.needs_image
 
-    def begin(self) -> None:
+    def begin(self, rig: Rig | None = None) -> None:
         with _blamed(topics.PERCEPTION):
-            self._perception.begin()
+            self._perception.begin(rig)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None

@@ -201,8 +201,8 @@ def test_given_too_few_rows_when_trained_then_one_line_says_so(
 @pytest.mark.parametrize(
     ('change', 'reason'),
     [
-        ({'data': (Path('d'),)}, 'both a program and --data'),
-        ({'program': None}, 'neither a program nor --data'),
+        ({'data': (Path('d'),)}, 'several of a program, --place and --data'),
+        ({'program': None}, 'neither a program, --place nor --data'),
         ({'program': None, 'data': (Path('d'),), 'varied': True}, '--varied is for rendered'),
         ({'program': None, 'data': (Path('d'), Path('x/../d'))}, 'given twice'),
         ({'program': None, 'data': (Path('d'),), 'validation_data': Path('d')}, 'given twice'),

@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from taxinet_ros.analysis.camera.sheets import scene_picture
+from taxinet_ros.core.perception.eye import find_eye
 from taxinet_ros.core.perception.network import usual_frame
 from taxinet_ros.core.perception.onnx.network import OnnxNetwork, prepare
 from taxinet_ros.core.scenario import Scenario
@@ -36,13 +37,15 @@ class NetworkView:
 
 def network_view(network: OnnxNetwork, scene: Scenario) -> NetworkView:
     """Show the first frame of a scene to a network."""
-    frame = usual_frame(scene_picture(scene))
-    sidecar = network.sidecar
-    picture = prepare(frame, sidecar)[0]
+    sidecar, picture = network.sidecar, scene_picture(scene)
+    frame = seen = usual_frame(picture)
+    if sidecar.picture.view is not None:
+        seen = find_eye(sidecar.picture.view, scene.rig).see(picture)
+    picture = prepare(seen, sidecar)[0]
     if sidecar.picture.layout == 'nchw':
         picture = picture.transpose(1, 2, 0)
     shape = (sidecar.picture.height, sidecar.picture.width, -1)
-    cte_m, he_rad = network.look(frame)
+    cte_m, he_rad = network.look(seen)
     return NetworkView(
         frame=frame, crop=sidecar.picture.crop, picture=picture.reshape(shape), cte_m=cte_m,
         he_rad=he_rad,

@@ -357,7 +357,7 @@ def _outcome(
     if state is None:
         raise ValueError(f'step {step}: its state is unknown')
     image = camera.render(state, step * CONTROL_PERIOD_NS)
-    estimate = look(image)
+    estimate = look(image, scenario.rig)
     return ChangedView(
         image=image, estimate=estimate, misled_rad=misled_rad(estimate, moment.truth, gains),
         changed=float(changed_pixels(image, moment.image).mean()),

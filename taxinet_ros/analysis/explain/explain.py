@@ -36,8 +36,9 @@ from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
-from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.perception.perception import NetworkPerception, Perception
 from taxinet_ros.core.renderer import OURS, ChosenRenderer
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
@@ -139,10 +140,13 @@ def explain(
         InfraError: the camera failed.
         BagError, UsageError: the bag cannot be read.
     """
-    def look(image: Frame) -> TrackingError:
+    bag, run = recording.path, recording.run
+
+    def look(image: Frame, rig: Rig = run.request.scenario.rig) -> TrackingError:
+        if isinstance(perception, NetworkPerception):
+            perception.begin(rig)
         return perception.estimate(image, None)
 
-    bag, run = recording.path, recording.run
     world, camera = world_and_camera(run.world or KMWH)
     if world != KMWH:
         raise UsageError(f'{bag}: used world {world}, whose modified scenes cannot be rendered')

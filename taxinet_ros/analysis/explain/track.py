@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,19 @@ from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.place.track import Track as Line
 from taxinet_ros.core.renderer import RunCamera
 from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
 Frame = NDArray[np.uint8]
-Estimator = Callable[[Frame], TrackingError]
+
+
+class Estimator(Protocol):
+    """The network that is explained."""
+
+    def __call__(self, image: Frame, rig: Rig = ...) -> TrackingError:
+        """Its estimate from a frame of the run's rig, or of another."""
+        ...
 """A network: maps a camera frame (200, 360, 3) uint8 RGB to an estimate."""
 
 APART_NS = NS_PER_S

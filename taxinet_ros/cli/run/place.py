@@ -71,7 +71,8 @@ def _lines(place: Place) -> Iterator[tuple[str, str]]:
     )
     edges = 'edge stripes' if runway.edge_stripes else 'no edge stripes'
     yield 'paint', f'{runway.category}, {edges}'
-    yield 'ground', f'{runway.surface}, {runway.surroundings} beside it'
+    paved = f', paved shoulders of {runway.shoulder_m:g} m' if runway.shoulder_m else ''
+    yield 'ground', f'{runway.surface}{paved}, {runway.surroundings} beside it'
     yield 'clocks', runway.time_zone
     yield 'starts', (
         f'distance_m 0..{runway.last_start_m:g}, '

@@ -98,12 +98,14 @@ def compare(
 
 def _network(word: str) -> Perception:
     from taxinet_ros.core.perception.perception import make_perception
+    from taxinet_ros.core.scenario import Scenario
 
     perception = make_perception(word)
     if not perception.needs_image:
         raise UsageError(
             f'--perception {word}: uses no camera image; name taxinet or a weights file'
         )
+    perception.begin(Scenario().rig)  # the frames are of the paper's camera
     return perception
 
 

@@ -30,7 +30,20 @@ def train(
         list[Path] | None,
         typer.Option(help='folder of labelled images instead of a program; repeatable'),
     ] = None,
-    images: Annotated[int, typer.Option(help='images to render, one per scene')] = 12_000,
+    place: Annotated[
+        list[str] | None,
+        typer.Option(
+            help='train at places instead of with a program: random:0-299, or one of any kind; '
+            'repeatable'
+        ),
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(help='virtual camera through which the network sees any camera: ahead'),
+    ] = None,
+    images: Annotated[
+        int, typer.Option(help='images to render, one per scene, spread over the places')
+    ] = 12_000,
     validation: Annotated[
         int, typer.Option(
             help='additional validation images; what is added brings more, in proportion'
@@ -92,14 +105,15 @@ def train(
     from taxinet_ros.training.data.portions import parse_portion
     from taxinet_ros.training.options import TrainOptions
 
-    if data and program is None:
+    if data and program is None and not place:
         why = 'for rendered scenes; with --data every image is used, leave it out'
         refuse_given(context, ('images', 'sampler'), why)
     if validation_data is not None:
         why = 'with --validation-data all of its images are used; leave one out'
         refuse_given(context, ('validation',), why)
     run_train(TrainOptions(
-        program=program, data=tuple(data or ()), validation_data=validation_data, out=out,
+        program=program, places=tuple(place or ()), view=view, data=tuple(data or ()),
+        validation_data=validation_data, out=out,
         sampler=sampler, validation_program=validation_program, start=start,
         add=(
             *(parse_portion(text, 'program') for text in add or ()),

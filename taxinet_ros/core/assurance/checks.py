@@ -230,7 +230,7 @@ class Moves:
         self._perceptions = perceptions
         self._places = [_moved_pixels(scenario, *move) for move in MOVES]
         for one in perceptions:
-            one.begin()
+            one.begin(scenario.rig)
 
     def pictures(self, image: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
         """The picture after each of :data:`MOVES`.

@@ -186,7 +186,7 @@ class Assured(Controller):
         self._inner.begin(scenario)
         self._monitor.begin(scenario)
         if self._second is not None:
-            self._second.begin()
+            self._second.begin(scenario.rig)
 
     def doubts(self, perception: Perception) -> list[str]:
         """Warnings on its monitor with a perception (:meth:`.Calibration.doubts`)."""

@@ -214,6 +214,28 @@ class Reduction:
         Luma of ITU-R BT.601, averaged over areas; the values equal OpenCV's.
         """
 
+class Warp:
+    """Resamples frames to grey images: each pixel is the mean of 16 samples of the frame."""
+
+    def __init__(
+        self, height: int, width: int, places: NDArray[np.int32], unseen: int
+    ) -> None:
+        """Work out which pixels of a frame count how much.
+
+        Args:
+            height: frame height [px].
+            width: frame width [px].
+            places: positions of the samples in the frame, across and down, in steps of 1/32 pixel,
+                (rows, columns, 16, 2).
+            unseen: grey level of samples that lie outside the frame.
+        """
+
+    def look(self, frame: _Bytes) -> _Bytes:
+        """Grey levels (rows, columns), a new array, of a frame (height, width, 3) RGB.
+
+        Luma of ITU-R BT.601, interpolated between four pixels at each sample; whole numbers only.
+        """
+
 class Convolution:
     """A layer of a network: a convolution, or a dense layer, whose kernel is its whole input."""
 

@@ -20,11 +20,11 @@ IMAGE_SHAPE = (200, 360, 3)
 """Height, width and channels of the frames that networks take (RGB, uint8)."""
 INPUT_SHAPE = (64, 192)
 """Height and width of the network's grey image."""
-_FAR_ROWS = 40
+FAR_ROWS = 40
 """Number of rows at the top of a frame (horizon to about 15 m ahead) that are not reduced."""
 _REDUCTION = pixels.Reduction(
     *IMAGE_SHAPE[:2],
-    [(_FAR_ROWS, _FAR_ROWS), (IMAGE_SHAPE[0] - _FAR_ROWS, INPUT_SHAPE[0] - _FAR_ROWS)],
+    [(FAR_ROWS, FAR_ROWS), (IMAGE_SHAPE[0] - FAR_ROWS, INPUT_SHAPE[0] - FAR_ROWS)],
     INPUT_SHAPE[1],
 )
 CTE_SCALE_M = 10.0
@@ -34,6 +34,8 @@ HE_SCALE_RAD = math.radians(30.0)
 _SCALES = np.array([CTE_SCALE_M, HE_SCALE_RAD])
 _MEAN, _DEVIATION = 0.449, 0.226
 """Mean and standard deviation of grey levels 0..1 (the usual ImageNet values)."""
+UNSEEN = round(255 * _MEAN)
+"""Grey level of pixels that a camera does not see: about 0 to the network, as padding is."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -159,8 +161,12 @@ class TaxiNet:
         return unscaled(self._network.infer(inputs))
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
-        """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8."""
-        cte_m, he_rad = self.infer(shrink(image)[np.newaxis])[0]
+        """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8.
+
+        Or from the picture of an eye, (64, 192) uint8.
+        """
+        picture = image if image.ndim == 2 else shrink(image)
+        cte_m, he_rad = self.infer(picture[np.newaxis])[0]
         return float(cte_m), float(he_rad)
 
 

@@ -15,12 +15,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.arguments import has_parameter
 from taxinet_ros.core.perception.domain import Domain, domain_doubts
+from taxinet_ros.core.perception.eye import Eye, find_eye
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, is_frame
 from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX, NetworkFiles
 from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar, sidecar_path
 from taxinet_ros.core.perception.onnx.trial import tried_network
 from taxinet_ros.core.perception.weights import SUFFIX, card_path, load_card, load_model
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
 from taxinet_ros.core.user_code import (
@@ -54,8 +57,12 @@ class Perception(Protocol):
     fingerprint: str
     needs_image: bool
 
-    def begin(self) -> None:
-        """Reset; called before each run."""
+    def begin(self, rig: Rig | None = None) -> None:
+        """Reset; called before each run.
+
+        Args:
+            rig: camera and aircraft of the run; None if unknown.
+        """
         return
 
     def estimate(
@@ -94,7 +101,10 @@ class Network(Protocol):
     """Interface of networks that evaluate a frame."""
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
-        """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8."""
+        """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8.
+
+        One with a view: from the picture of its eye, (64, 192) uint8.
+        """
         ...
 
 
@@ -103,18 +113,45 @@ class NetworkPerception(Perception):
 
     needs_image = True
 
-    def __init__(self, network: Network, *, word: str, fingerprint: str) -> None:
-        """See :class:`Perception` for ``word`` and ``fingerprint``."""
+    def __init__(
+        self, network: Network, *, word: str, fingerprint: str, view: str | None = None
+    ) -> None:
+        """See :class:`Perception` for ``word`` and ``fingerprint``.
+
+        Args:
+            network: the network.
+            word: its name.
+            fingerprint: its digest.
+            view: virtual camera that it sees through, a name of :data:`.eye.VIEWS`; None if it sees
+                the frames as they are.
+        """
         self.word = word
         self.fingerprint = fingerprint
+        self.view = view
         self._network = network
+        self._eye: Eye | None = None
+
+    def begin(self, rig: Rig | None = None) -> None:
+        """Prepare the eye of the rig, if the network asks for one."""
+        self._eye = None if self.view is None or rig is None else find_eye(self.view, rig)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
-        """Return the network's estimate; invalid without a frame or with a non-finite output."""
+        """Return the network's estimate; invalid without a frame or with a non-finite output.
+
+        Raises:
+            UsageError: it sees through a virtual camera, but the rig is unknown.
+        """
         if image is None or not is_frame(image):
             return NO_ESTIMATE
+        if self._eye is not None:
+            image = self._eye.see(image)
+        elif self.view is not None:
+            raise UsageError(
+                f'perception {self.word}: sees through the virtual camera {self.view}, for which '
+                'camera and aircraft have to be known; of these frames they are not'
+            )
         cte_m, he_rad = self._network.look(image)
         seen = TrackingError(cte_m=cte_m, he_rad=he_rad)
         return seen if seen.usable else NO_ESTIMATE
@@ -124,7 +161,8 @@ class UserPerception(Perception):
     """A user function: ``(200, 360, 3)`` uint8 RGB in, cross-track and heading error out.
 
     It returns a pair ``(cte_m, he_rad)``, a :class:`TrackingError`, or None for no estimate. With
-    ``needs_image = False`` it receives the true :class:`TrackingError` instead of the image.
+    ``needs_image = False`` it receives the true :class:`TrackingError` instead of the image. One
+    with a parameter ``rig`` also receives the :class:`.Rig` of the run.
     """
 
     def __init__(self, code: UserCode) -> None:
@@ -137,12 +175,14 @@ class UserPerception(Perception):
         self.word = code.word
         self.fingerprint = code.sha256
         self._run = RunCode(code)
+        self._named: dict[str, Rig | None] = {}
         with code.running(UsageError):
             self.needs_image = bool(getattr(self._run.function, 'needs_image', True))
 
-    def begin(self) -> None:
+    def begin(self, rig: Rig | None = None) -> None:
         """Reset to the initial state."""
         self._run.begin()
+        self._named = {'rig': rig} if has_parameter(self._run.function, 'rig') else {}
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -156,7 +196,9 @@ class UserPerception(Perception):
             return NO_ESTIMATE
         else:
             argument = truth
-        return self._run.answer(argument, read_estimate, 'a pair (cte_m, he_rad), or None')
+        return self._run.answer(
+            argument, read_estimate, 'a pair (cte_m, he_rad), or None', **self._named
+        )
 
 
 def read_estimate(answer: Any) -> TrackingError | None:
@@ -271,10 +313,13 @@ def _network(path: Path, word: str) -> Perception:
     """Perception of a network file: safetensors weights, or a third-party ONNX after a trial."""
     if path.suffix == ONNX_SUFFIX:
         theirs, fingerprint = tried_network(path)
-        return NetworkPerception(theirs, word=word, fingerprint=fingerprint)
+        view = theirs.sidecar.picture.view
+        return NetworkPerception(theirs, word=word, fingerprint=fingerprint, view=view)
     model = load_model(path)
     ours = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
-    return NetworkPerception(ours, word=word, fingerprint=model.fingerprint)
+    return NetworkPerception(
+        ours, word=word, fingerprint=model.fingerprint, view=model.card.view
+    )
 
 
 def _fingerprint(path: Path) -> str:

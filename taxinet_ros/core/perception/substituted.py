@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception.perception import GroundTruth, Perception
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.errors import UsageError
 
@@ -130,9 +131,9 @@ class HalfTruth(Perception):
         self._network = network
         self._cte = cte
 
-    def begin(self) -> None:
+    def begin(self, rig: Rig | None = None) -> None:
         """Reset the network."""
-        self._network.begin()
+        self._network.begin(rig)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -157,9 +158,9 @@ class Delayed(Perception):
         self._perception = perception
         self._estimates: deque[TrackingError] = deque(maxlen=round(delay_s / _STEP_S) + 1)
 
-    def begin(self) -> None:
+    def begin(self, rig: Rig | None = None) -> None:
         """Reset the perception and clear the buffer."""
-        self._perception.begin()
+        self._perception.begin(rig)
         self._estimates.clear()
 
     def estimate(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros import registry
 from taxinet_ros.core.perception.domain import Domain, read_domain
+from taxinet_ros.core.perception.eye import VIEWS
 from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -29,9 +30,9 @@ from taxinet_ros.files.reading import MAX_TEXT_BYTES, UnfitFileError, read_file
 
 ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
 ERROR_QUANTITIES = ('cte_m', 'he_deg')
-SOURCE_KINDS = ('program', 'folder', 'runs')
-"""Sources of images: rendered scenes of a Scenic program, a folder with a label table, or the
-failed runs of a campaign."""
+SOURCE_KINDS = ('program', 'folder', 'runs', 'places')
+"""Sources of images: rendered scenes of a Scenic program, a folder with a label table, the failed
+runs of a campaign, or scenes place by place."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,7 +41,7 @@ class Source:
 
     Attributes:
         kind: one of :data:`SOURCE_KINDS`.
-        name: name of the program, folder or campaign.
+        name: name of the program, folder, campaign or places.
         sha256: digest of the program's text, of the folder's labels and images, or of the
             campaign's record.
     """
@@ -73,6 +74,8 @@ class ModelCard:
         date: ISO date of the training (UTC).
         command_line: command that reproduces the weights.
         start_sha256: digest of the weights that training started from; None for random ones.
+        view: virtual camera that it sees through, a name of
+            :data:`~taxinet_ros.core.perception.eye.VIEWS`; None if it sees the frames as they are.
         domain: what is in the training pictures, with those that the first weights were trained
             on; None if unknown.
     """
@@ -96,6 +99,7 @@ class ModelCard:
     date: str
     command_line: str
     start_sha256: str | None = None
+    view: str | None = None
     domain: Domain | None = None
 
 
@@ -131,6 +135,7 @@ def load_card(path: Path) -> ModelCard:
         learning_rate=card.number('learning_rate', 0),
         errors=_errors(card.section('errors', ERROR_QUANTITIES)),
         start_sha256=card.text('start_sha256') if values.get('start_sha256') is not None else None,
+        view=card.word('view', tuple(VIEWS)) if values.get('view') is not None else None,
         seed=card.whole('seed', 0), images=card.whole('images', 0),
         validation=card.whole('validation', 0), epochs=card.whole('epochs', 0),
         batch=card.whole('batch', 0), patience=card.whole('patience', 0),

@@ -10,6 +10,7 @@ from pathlib import Path
 from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.place_file import make_place, read_place
+from taxinet_ros.core.place.random_place import PREFIX, random_place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.errors import UsageError
@@ -20,6 +21,7 @@ SHIPPED_TRACKS = ('runway', 'exit_left', 'rapid_exit')
 _OF_AIRPORT = re.compile(
     r'(?:(.+\.dat(?:\.gz)?):)?([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
 """``FILE:ICAO/RUNWAY`` or ``ICAO/RUNWAY``, optionally with ``@ZONE``."""
+_RANDOM = re.compile(f'{PREFIX}([0-9]{{1,10}})')
 _APT_DAT = (
     '/usr/share/games/flightgear/Airports/apt.dat.gz', '/usr/share/flightgear/Airports/apt.dat.gz',
     '~/X-Plane 12/Global Scenery/Global Airports/Earth nav data/apt.dat',
@@ -37,7 +39,7 @@ class Places(Catalogue[Place]):
         Args:
             text: as for every catalogue; or ``apt.dat:ICAO/RUNWAY`` (with ``@ZONE`` for the time
                 zone), or ``ICAO/RUNWAY`` of the apt.dat that ``TAXINET_APT_DAT`` names, or of an
-                installed simulator's.
+                installed simulator's; or ``random:NUMBER`` (:mod:`.random_place`).
 
         Raises:
             UsageError: none of these, or an invalid file.
@@ -46,6 +48,8 @@ class Places(Catalogue[Place]):
             path, icao, runway, zone = airport.groups(default='')
             path = path or _installed_apt_dat(text)
             return _place_of_airport(path, icao, runway, zone, _version(path))
+        if number := _RANDOM.fullmatch(text):
+            return self.find(random_place(int(number[1])).text)
         return super().typed(text)
 
 

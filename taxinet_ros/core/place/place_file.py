@@ -20,6 +20,7 @@ from taxinet_ros.core.place.runway import (
     CATEGORIES,
     SURFACES,
     SURROUNDINGS,
+    Condition,
     Crossing,
     Runway,
     time_zone,
@@ -36,8 +37,13 @@ from taxinet_ros.files.plain_values import Section, read_yaml
 _KEYS = ('name', 'title', 'icao', 'time_zone', 'runway', 'pavements', 'lines', 'routes', 'tracks')
 _RUNWAY_KEYS = (
     'ends', 'width_m', 'elevation_m', 'length_m', 'bearing_deg', 'category', 'edge_stripes',
-    'surface', 'surroundings', 'crossings',
+    'surface', 'surroundings', 'crossings', 'shoulder_m', 'condition',
 )
+_CONDITION = {
+    'lightness': (0.7, 1.2), 'mottle': (0.0, 4.0), 'rubber': (0.0, 3.0), 'wear': (0.0, 3.0),
+    'edge_wear': (0.0, 3.0), 'ground': (0.6, 1.3),
+}
+_MOST_SHOULDER_M = 20.0
 _END_KEYS = ('designation', 'latitude_deg', 'longitude_deg', 'displaced_m')
 _CROSSING_KEYS = ('x_m', 'yaw_deg', 'width_m', 'clear_half_m', 'paved_m')
 
@@ -133,7 +139,20 @@ def _runway(section: Section, zone: str) -> Runway:
         surface=section.word('surface', SURFACES),
         surroundings=section.word('surroundings', SURROUNDINGS, 'dry'),
         crossings=_crossings(section, length_m),
+        shoulder_m=section.number('shoulder_m', 0.0, _MOST_SHOULDER_M, 0.0),
+        condition=_condition(section),
     )
+
+
+def _condition(section: Section) -> Condition:
+    if 'condition' not in section:
+        return Condition()
+    given = section.section('condition', (*_CONDITION, 'seed'))
+    numbers = {
+        key: given.number(key, low, high)
+        for key, (low, high) in _CONDITION.items() if key in given
+    }
+    return Condition(**numbers, seed=given.whole('seed', 0, 2**31 - 1) if 'seed' in given else 0)
 
 
 def _extent(

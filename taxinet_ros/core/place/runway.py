@@ -20,9 +20,10 @@ KMWH_HALF_WIDTH_M = 50 * FOOT_M
 CATEGORIES = ('visual', 'nonprecision', 'precision')
 """Marking categories (FAA AC 150/5340-1), by type of instrument approach."""
 
-SURFACES = ('asphalt', 'concrete')
-SURROUNDINGS = ('dry', 'grass')
-"""Ground beside the pavement: dry ground with straw, or green grass."""
+SURFACES = ('asphalt', 'concrete', 'grooved')
+"""The last is asphalt with grooves across: darker, and without cracks sealed with tar."""
+SURROUNDINGS = ('dry', 'grass', 'sand')
+"""Ground beside the pavement: dry ground with straw, green grass, or light sand."""
 
 _ROOM_AHEAD_M = 442.0
 """Minimum distance of a start to the far end [m]: 30 s of taxiing, and a turn-off."""
@@ -66,6 +67,29 @@ class Crossing:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Condition:
+    """Age and wear of a runway's surface; the default is that of KMWH 04.
+
+    Attributes:
+        lightness: factor on the brightness of the pavement without paint.
+        mottle: strength of stains, joints and cracks.
+        rubber: amount of tyre rubber.
+        wear: wear of the paint, 0 = fresh.
+        edge_wear: wear of the edge stripes, 0 = fresh.
+        ground: factor on the brightness of the ground beside the pavement.
+        seed: a whole number, of the pattern of all these.
+    """
+
+    lightness: float = 1.0
+    mottle: float = 1.0
+    rubber: float = 1.0
+    wear: float = 1.0
+    edge_wear: float = 0.0
+    ground: float = 1.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Runway:
     """Position and properties of a runway, used by aircraft, camera, sun and pages.
 
@@ -83,6 +107,8 @@ class Runway:
         surface: one of :data:`SURFACES`.
         surroundings: one of :data:`SURROUNDINGS`.
         crossings: crossing runways, ordered by x.
+        shoulder_m: width of the paved shoulder beyond each edge [m].
+        condition: age and wear of the surface.
     """
 
     threshold_deg: tuple[float, float]
@@ -99,6 +125,8 @@ class Runway:
     surface: str = 'asphalt'
     surroundings: str = 'dry'
     crossings: tuple[Crossing, ...] = ()
+    shoulder_m: float = 0.0
+    condition: Condition = Condition()
 
     @property
     def half_width_m(self) -> float:

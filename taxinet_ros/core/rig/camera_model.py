@@ -153,6 +153,19 @@ class CameraModel(NamedDocument):
             found: Vectors = (points @ self.intrinsics.T)[:, :2] / points[:, 2:]
         return found
 
+    def pixels_of_slopes(self, x: Vectors, y: Vectors) -> tuple[Vectors, Vectors]:
+        """Pixels of undistorted directions x/z and y/z; the inverse of :meth:`straight_rays`.
+
+        Valid only for positive depth. NaN far outside the image, as in :meth:`pixels`. Elementwise:
+        the same on every processor.
+        """
+        (fx, fy), (cx, cy) = self.focal_px, self.centre_px
+        if self.distorts:
+            beyond = ~(np.sqrt(x * x + y * y) <= self._reach)
+            x, y = self._distorted(x, y)
+            x[beyond] = y[beyond] = np.nan
+        return fx * x + cx, fy * y + cy
+
     def straight_rays(self, u: Vectors, v: Vectors) -> tuple[Vectors, Vectors]:
         """Undistorted directions x/z and y/z of pixels (Newton's method)."""
         (fx, fy), (cx, cy) = self.focal_px, self.centre_px
@@ -172,10 +185,11 @@ class CameraModel(NamedDocument):
 
     @cached_property
     def _reach(self) -> float:
-        """Range of validity of the lens model, as a tangent."""
-        _, _, u, v = self.inner_view
-        (fx, fy), (cx, cy) = self.focal_px, self.inner_intrinsics[:2, 2]
-        return _BESIDE * float(np.hypot((u - cx) / fx, (v - cy) / fy).max())
+        """Range of validity of the lens model, as a tangent; the farthest pixel is at the edge."""
+        rows, columns = np.mgrid[0:self.height_px, 0:self.width_px].astype(np.float64)
+        edge = np.ones(self.shape[:2], bool)
+        edge[1:-1, 1:-1] = False
+        return _BESIDE * float(np.hypot(*self.straight_rays(columns[edge], rows[edge])).max())
 
     def _distorted(self, x: Vectors, y: Vectors) -> tuple[Vectors, Vectors]:
         k1, k2, p1, p2, k3 = self.distortion

@@ -41,8 +41,9 @@ class PerceptionNode(Participant, abc.ABC):
 
     def prepare(self, scenario: Scenario) -> None:
         """Reset from the previous run."""
-        self._perception.begin()
-        self._expected = scenario_of(scenario).camera_model.shape
+        rig = scenario_of(scenario).rig
+        self._perception.begin(rig)
+        self._expected = rig.camera.shape
 
     @abc.abstractmethod
     def choose(self) -> Perception:

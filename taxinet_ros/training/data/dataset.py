@@ -10,6 +10,7 @@ import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.camera.airframe import covering_doubts
+from taxinet_ros.core.perception.eye import find_eye
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
@@ -131,6 +134,8 @@ def make_dataset(
     workers: int,
     varied: bool = False,
     seed: int = 0,
+    view: str | None = None,
+    chunk: int = 0,
     progress: Progress = no_progress,
     stage: str = 'images',
     unfinished: Unfinished | None = None,
@@ -142,6 +147,9 @@ def make_dataset(
         workers: number of processes; 1 is this one.
         varied: whether the look of the world varies.
         seed: seed of these variations.
+        view: virtual camera through which the pictures are seen, a name of
+            :data:`~taxinet_ros.core.perception.eye.VIEWS`; None for the frames as they are.
+        chunk: as for :func:`.photographs`.
         progress: called after every picture.
         stage: name of the stage for ``progress``.
         unfinished: record to keep the pictures in; those in it are not rendered again.
@@ -154,7 +162,10 @@ def make_dataset(
     missing = [(number, scene) for number, scene in enumerate(scenes) if number not in known]
     pictures = np.empty((len(scenes), *INPUT_SHAPE), np.uint8)
     truth = np.empty((len(scenes), 2))
-    taken = photographs(missing, _shrunk, varied=varied, seed=seed, workers=workers)
+    taken = photographs(
+        missing, partial(_shrunk, view), varied=varied, seed=seed, workers=workers,
+        chunk=chunk,
+    )
     for row in range(len(scenes)):
         if row in known:
             picture, cte_m, he_rad = _unpacked(known[row])
@@ -174,5 +185,8 @@ def _unpacked(values: Mapping[str, Any]) -> _Labelled:
     return np.frombuffer(data, np.uint8).reshape(INPUT_SHAPE), values['cte_m'], values['he_rad']
 
 
-def _shrunk(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Labelled:
-    return shrink(image), truth.cte_m, truth.he_rad
+def _shrunk(
+    view: str | None, index: int, image: NDArray[np.uint8], truth: TrackingError, rig: Rig
+) -> _Labelled:
+    picture = shrink(image) if view is None else find_eye(view, rig).see(image)
+    return picture, truth.cte_m, truth.he_rad

@@ -29,6 +29,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from taxinet_ros.core.renderer import OURS, find_renderer
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
@@ -250,7 +251,7 @@ def _check_finished(
 
 
 def _store(
-    out: Path, index: int, image: NDArray[np.uint8], truth: TrackingError
+    out: Path, index: int, image: NDArray[np.uint8], truth: TrackingError, rig: Rig
 ) -> FinishedImage:
     """Write one image, in the worker that rendered it since compression takes time."""
     _, encoded = cv2.imencode('.png', cv2.cvtColor(image, cv2.COLOR_RGB2BGR), _PNG)

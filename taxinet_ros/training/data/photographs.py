@@ -28,6 +28,7 @@ from taxinet_ros.core.place.place import AirportGround
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.renderer import OURS, find_renderer
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.processes.pool import SPAWN, ProcessPool, process_pool
@@ -95,8 +96,8 @@ _AHEAD = 2
 T = TypeVar('T')
 Numbered = tuple[int, Scenario]
 """A scene and its number in the dataset."""
-Develop = Callable[[int, NDArray[np.uint8], TrackingError], T]
-"""Computes the result from number, frame (200, 360, 3) uint8 RGB and true error.
+Develop = Callable[[int, NDArray[np.uint8], TrackingError, Rig], T]
+"""Computes the result from number, frame (200, 360, 3) uint8 RGB, true error and rig.
 
 It is called in the rendering process, so it must be importable by name.
 """
@@ -104,7 +105,7 @@ It is called in the rendering process, so it must be importable by name.
 
 def photographs(
     scenes: Iterable[Numbered], develop: Develop[T], *, varied: bool, seed: int, workers: int,
-    camera: str = OURS,
+    camera: str = OURS, chunk: int = 0,
 ) -> Generator[T, None, None]:
     """Render scenes and yield the result of ``develop`` for each, in order.
 
@@ -117,6 +118,7 @@ def photographs(
         seed: seed of these variations.
         workers: number of processes; 1 is this one.
         camera: who takes the pictures.
+        chunk: most scenes, of one place, that a process gets at a time; 0 for a few.
 
     Raises:
         UsageError: the camera cannot show a scene.
@@ -128,7 +130,7 @@ def photographs(
             yield take(scene)
         return
     # A process that receives a whole block makes its common ground only once.
-    blocks = _blocks(scenes, GROUND_BLOCK if varied else _CHUNK)
+    blocks = _blocks(scenes, max(chunk, GROUND_BLOCK if varied else _CHUNK))
     stop = SPAWN.Event()
     with process_pool(workers, 'rendering worker', _start_worker, stop) as pool:
         try:
@@ -142,7 +144,7 @@ def _take(
 ) -> T:
     index, scene = numbered
     image, truth = photograph(scene, varied=varied, seed=seed, index=index, camera=camera)
-    return develop(index, image, truth)
+    return develop(index, image, truth, scene.rig)
 
 
 def _take_all(take: Callable[[Numbered], T], block: list[Numbered]) -> list[T]:
@@ -150,7 +152,12 @@ def _take_all(take: Callable[[Numbered], T], block: list[Numbered]) -> list[T]:
 
 
 def _blocks(scenes: Iterable[Numbered], size: int) -> Iterator[list[Numbered]]:
-    for _, block in itertools.groupby(scenes, key=lambda numbered: numbered[0] // size):
+    """Consecutive scenes of one place, since its ground takes half a second, too."""
+    def key(numbered: Numbered) -> tuple[str, int]:
+        number, scene = numbered
+        return scene.place, number // size
+
+    for _, block in itertools.groupby(scenes, key=key):
         yield list(block)
 
 

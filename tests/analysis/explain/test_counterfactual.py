@@ -47,7 +47,7 @@ def moment_in(scenario, look):
 
 def fooled_where(condition, truth):
     """Right, but for frames of a condition."""
-    def look(image):
+    def look(image, rig=None):
         off = WRONG_M if condition(image) else 0.0
         return dataclasses.replace(truth, cte_m=truth.cte_m + off)
 
@@ -127,7 +127,7 @@ def test_given_a_change_that_takes_the_answer_away_then_it_takes_no_error_away()
     noon = Scenario()
     shown = SimulatedWorld(noon).observe().image
 
-    def look(image):
+    def look(image, rig=None):
         if not np.array_equal(image, shown):
             return NO_ESTIMATE
         return TrackingError(cte_m=3.0, he_rad=0.0)
@@ -199,7 +199,7 @@ def test_given_a_frozen_camera_then_only_without_it_a_moment_is_seen_as_it_is():
     )
     found = {
         effect.factor.name: effect.outcomes[0].image
-        for effect in effects(frozen, [moment], lambda image: estimate, GAINS)
+        for effect in effects(frozen, [moment], lambda image, rig=None: estimate, GAINS)
     }
     camera = Camera(AFTERNOON)
     assert np.array_equal(found['camera_freeze_s'], camera.render(now.state, now.stamp_ns))

@@ -147,7 +147,7 @@ class Told:
     def __init__(self, estimate):
         self.told = estimate
 
-    def begin(self):
+    def begin(self, rig=None):
         pass
 
     def estimate(self, image, truth):

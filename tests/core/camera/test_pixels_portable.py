@@ -15,6 +15,7 @@ from picture_samples import at
 
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.perception.eye import find_eye
 from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
@@ -49,6 +50,7 @@ def digest() -> str:
         for x, y, heading, pitch in ((333.3, 2.0, 9.0, 0.1), (1400.0, -5.0, -20.0, -4.0)):
             picture = camera.render(at(x, y, heading, pitch), number)
             found.update(picture.tobytes() + shrink(picture).tobytes())
+            found.update(find_eye('ahead', Scenario().rig).see(picture).tobytes())
             found.update(repr(network.estimate(picture, None)).encode())
     return found.hexdigest()
 

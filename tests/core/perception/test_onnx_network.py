@@ -19,6 +19,7 @@ from onnx_samples import described, linear, model, our_scaling, save, shrunk
 
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.perception.eye import find_eye
 from taxinet_ros.core.perception.network import (
     ARCHITECTURES,
     DEFAULT_ARCHITECTURE,
@@ -76,6 +77,21 @@ def test_given_our_network_in_onnx_when_both_look_at_rendered_frames_then_they_a
         seen.append((estimate.cte_m, estimate.he_rad))
         assert seen[-1] == pytest.approx(ours.infer(shrunk(image)[np.newaxis])[0], abs=1e-4)
     assert np.ptp(seen, axis=0).min() > 1e-3, 'the frames make a difference'
+
+
+def test_given_our_network_in_onnx_with_a_view_when_both_look_then_they_see_the_same(
+    tmp_path: Path,
+) -> None:
+    network, ours = exported()
+    changes = {**our_scaling(), 'input.view': 'ahead', 'input.resize': None}
+    theirs = make_perception(str(save(tmp_path, network, changes)))
+    scene = scenario_from_human({'camera': 'nose', 'cross_track': 3})
+    image = SimulatedWorld(scene, pictures=True).observe().image
+    assert image is not None
+    theirs.begin(scene.rig)
+    estimate = theirs.estimate(image, None)
+    picture = find_eye('ahead', scene.rig).see(image)
+    assert (estimate.cte_m, estimate.he_rad) == pytest.approx(ours.look(picture), abs=1e-4)
 
 
 def test_given_a_linear_network_when_asked_then_scale_offset_unit_and_sign_count(

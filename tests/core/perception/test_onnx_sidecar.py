@@ -42,6 +42,19 @@ def test_given_the_least_description_when_read_then_the_rest_is_the_plain_choice
     assert read.outputs[1].scale == pytest.approx(math.radians(30))
 
 
+def test_given_a_view_when_read_then_it_is_kept_and_what_it_excludes_is_refused() -> None:
+    seen = {'input.view': 'ahead', 'input.height': 64, 'input.width': 192, 'input.resize': None}
+    assert parse(seen).picture.view == 'ahead'
+    assert parse().picture.view is None
+    for changes, why in (
+        ({'input.view': 'behind'}, 'ahead'),
+        ({'input.crop': [0, 0, 9, 9]}, 'input.crop: has no effect with a view'),
+        ({'input.height': 32}, 'is grey, 32 x 192; the picture of a view is grey, 64 x 192'),
+    ):
+        said = complaint(yaml.safe_dump(described(seen | changes)).encode())
+        assert why in said
+
+
 def test_given_every_key_when_read_then_every_value_is_kept() -> None:
     read = parse({
         'input.name': 'picture', 'input.colour': 'bgr', 'input.layout': 'nhwc',

@@ -3,12 +3,15 @@
 The traces are bit-identical, and the frames, and so are the bags of the two graphs.
 """
 
+import json
+import shutil
 
 import pytest
 from graph_runs import files, judged_in, request
 
 import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.perception.weights import TAXINET, card_path
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import RunRequest
@@ -108,3 +111,22 @@ def test_given_the_same_run_after_another_one_then_nothing_of_the_first_is_left_
         judged_in(composed_graph(options), *asked)
     both, alone = (files(tmp_path / name / second.run_id) for name in ('both', 'alone'))
     assert both == alone
+
+
+def test_given_a_network_with_a_view_when_run_as_a_graph_then_every_bit_is_that_of_the_loop(
+    tmp_path,
+):
+    weights = tmp_path / 'ahead.safetensors'
+    shutil.copy(TAXINET, weights)
+    card = json.loads(card_path(TAXINET).read_text()) | {'view': 'ahead'}
+    card_path(weights).write_text(json.dumps(card))
+    scene = scenario_from_human({
+        'camera': 'nose', 'camera_dyaw': 2, 'aircraft': 'c172p', 'cross_track': 2, 'duration': 2,
+    })
+    asked = request('run-0', scenario=scene)
+    judged_in(composed_graph(GraphOptions(perception=str(weights), out=tmp_path / 'bags')), asked)
+    here = tx.run(scene, perception=str(weights)).trace
+    there = open_recording(tmp_path / 'bags' / 'run-0').trace
+    for column in ('est_cte_m', 'est_he_rad', 'x_m', 'y_m'):
+        assert there[column].to_numpy().tobytes() == here[column].to_numpy().tobytes()
+    assert here['est_cte_m'].nunique() > 10

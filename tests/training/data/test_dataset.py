@@ -12,6 +12,7 @@ from training_samples import SCENES
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
+from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.training.data.dataset import draw_scenes, make_dataset
@@ -53,12 +54,14 @@ def test_given_a_varied_world_when_rendering_then_seed_and_number_fix_every_look
 
 
 def keep(
-    index: int, image: NDArray[np.uint8], truth: TrackingError
+    index: int, image: NDArray[np.uint8], truth: TrackingError, rig: Rig
 ) -> tuple[int, NDArray[np.uint8], TrackingError]:
     return index, image, truth
 
 
-def kill_this_process(index: int, image: NDArray[np.uint8], truth: TrackingError) -> None:
+def kill_this_process(
+    index: int, image: NDArray[np.uint8], truth: TrackingError, rig: Rig
+) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 

@@ -42,6 +42,8 @@ FINE_M, COARSE_M = 0.12, 0.9
 SIDE_COLUMNS = 160
 _LEAST_BEYOND_M, _LEAST_BESIDE_M = 60.0, 3.9
 
+_SHOULDER = 0.84
+"""Brightness of paved shoulders, of the runway's."""
 GRAIN_TEXELS, GRAIN_M, GRAIN_LEVELS = 512, 0.012, 8
 GRAIN_NEUTRAL = 128
 """Neutral grain code: the product is scaled by its inverse."""
@@ -109,7 +111,7 @@ def ground_layout(runway: Runway, track: Track | None = None) -> Layout:
     if track is not None and not track.is_runway:
         return _track_layout(runway, track)
     rows = (runway.length_m - START_X_M + _LEAST_BEYOND_M) / ROW_M
-    fine = 2 * (runway.half_width_m + _LEAST_BESIDE_M) / FINE_M
+    fine = 2 * (runway.half_width_m + runway.shoulder_m + _LEAST_BESIDE_M) / FINE_M
     row_block, column_block = 2 ** (ROW_LEVELS - 1), 2 ** COLUMN_LEVELS
     return Layout(
         rows=row_block * math.ceil(rows / row_block),
@@ -123,7 +125,7 @@ def _track_layout(runway: Runway, track: Track) -> Layout:
     beside_m = track.half_width_m + _TRACK_BESIDE_M
     start_m = x.min() - _TRACK_BEHIND_M
     along_m = x.max() + _TRACK_AHEAD_M - start_m
-    band_m = runway.half_width_m + _LEAST_BESIDE_M
+    band_m = runway.half_width_m + runway.shoulder_m + _LEAST_BESIDE_M
     low_m, high_m = min(y.min() - beside_m, -band_m), max(y.max() + beside_m, band_m)
     most_rows, most_columns = _TRACK_MOST
     row_m = max(_TRACK_ROW_M, along_m / most_rows)
@@ -210,14 +212,15 @@ def _lay_runway(
     block: NDArray[np.uint8], grid: Grid, style: GroundStyle, runway: Runway
 ) -> None:
     """The runway, between its edges and between the fillets of what crosses it."""
-    reach_m = runway.half_width_m + _LEAST_BESIDE_M
+    reach_m = runway.half_width_m + runway.shoulder_m + _LEAST_BESIDE_M
     first, end = math.ceil(grid.column(-reach_m)), math.floor(grid.column(reach_m))
     band = Grid(rows=grid.rows, columns=end - first, x0_m=grid.x0_m, dx_m=grid.dx_m,
                 y0_m=grid.y0_m + first * grid.dy_m, dy_m=grid.dy_m)  # fmt: skip
     surface = runway_surface(band, style, runway)
-    colours = cv2.LUT(cv2.merge([surface] * 3), pavement_colours(style))
+    colours = np.asarray(cv2.LUT(cv2.merge([surface] * 3), pavement_colours(style)), np.uint8)
+    _darken_shoulders(colours, band, style, runway)
     x, y = band.centres(slice(0, band.rows))
-    paved = np.abs(y) <= runway.half_width_m
+    paved = np.abs(y) <= runway.half_width_m + runway.shoulder_m
     for crossing in crossings(style, runway):
         low_m, high_m = crossing.paved_m
         paved = paved | ((x >= low_m) & (x <= high_m))
@@ -262,7 +265,8 @@ def _shoulders(
     base: NDArray[np.uint8], fine: Grid, style: GroundStyle, runway: Runway
 ) -> None:
     """Draw the bare ground between the pavement's edge and the end of the fine columns."""
-    first = round(fine.column(runway.half_width_m))
+    _darken_shoulders(base[:, SIDE_COLUMNS:-SIDE_COLUMNS], fine, style, runway)
+    first = round(fine.column(runway.half_width_m + runway.shoulder_m))
     count = fine.columns - first
     for side in (-1, 1):
         seed = style.seed + 80 + side
@@ -279,6 +283,20 @@ def _shoulders(
             paved = (min(max(round(fine.row(x)), 0), fine.rows) for x in crossing.paved_m)
             bare[slice(*paved)] = False
         base[bare, columns] = colour[bare]
+
+
+def _darken_shoulders(
+    block: NDArray[np.uint8], grid: Grid, style: GroundStyle, runway: Runway
+) -> None:
+    """Make the paved shoulders darker than the runway, which is cleaned and swept."""
+    if not runway.shoulder_m:
+        return
+    x, y = grid.centres(slice(0, grid.rows))
+    beside = (np.abs(y) > runway.half_width_m) & np.ones(x.shape, bool)
+    for crossing in crossings(style, runway):
+        low_m, high_m = crossing.paved_m
+        beside &= (x < low_m) | (x > high_m)
+    block[beside] = np.rint(block[beside] * np.float32(_SHOULDER)).astype(np.uint8)
 
 
 @cache

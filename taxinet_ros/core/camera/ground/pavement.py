@@ -68,17 +68,30 @@ _SURFACE_LOOKS: dict[str, dict[str, Any]] = {
     'concrete': {
         'asphalt': 158.0, 'paint': 222.0, 'asphalt_tint': (1.03, 1.0, 0.94), 'mottle': 0.7,
     },
+    'grooved': {'asphalt': 122.0, 'asphalt_tint': (1.03, 1.0, 0.95), 'mottle': 0.8},
 }
 _SURROUNDINGS_LOOKS: dict[str, dict[str, Any]] = {
     'dry': {},
     'grass': {'near_tint': (112.0, 119.0, 80.0), 'far_tint': (98.0, 112.0, 70.0)},
+    'sand': {'near_tint': (186.0, 172.0, 140.0), 'far_tint': (178.0, 163.0, 130.0)},
 }
 
 
 def standard_style(runway: Runway, *, crossing: bool = True) -> GroundStyle:
-    """Standard style of a runway's surface and surroundings, with or without crossings."""
+    """Standard style of a runway's surface, its condition and its surroundings.
+
+    Args:
+        runway: the runway.
+        crossing: whether its crossings are drawn.
+    """
     looks = _SURFACE_LOOKS[runway.surface] | _SURROUNDINGS_LOOKS[runway.surroundings]
-    return replace(STANDARD, crossing=crossing, **looks)
+    style, now = replace(STANDARD, crossing=crossing, **looks), runway.condition
+    return replace(
+        style, seed=now.seed, asphalt=style.asphalt * now.lightness,
+        mottle=style.mottle * now.mottle, rubber_amount=now.rubber, wear=now.wear,
+        edge_wear=now.edge_wear, near_tint=_tint(now.ground * np.array(style.near_tint)),
+        far_tint=_tint(now.ground * np.array(style.far_tint)),
+    )
 
 
 def with_surface(style: GroundStyle, runway: str, surface: str) -> GroundStyle:
@@ -221,6 +234,7 @@ def _asphalt(grid: Grid, style: GroundStyle, runway: Runway) -> Floats:
             value[:, column : column + 1] -= np.float32(rng.uniform(3, 7) * style.mottle)
     if runway.surface == 'concrete':
         _joint(value, grid, rng, style, runway)
+    if runway.surface != 'asphalt':
         return value
     x, reach = 20.0, runway.half_width_m + _CRACK_BEYOND_M
     while x < runway.length_m:

@@ -11,6 +11,7 @@
 #include "reduction.hpp"
 #include "skyline.hpp"
 #include "vectors.hpp"
+#include "warp.hpp"
 
 namespace py = pybind11;
 using namespace pixels;
@@ -121,6 +122,10 @@ PYBIND11_MODULE(pixels, module) {
     py::class_<Reduction>(module, "Reduction")
         .def(py::init<int, int, std::vector<std::pair<int, int>>, int>())
         .def("reduce", &Reduction::reduce);
+    py::class_<Warp>(module, "Warp")
+        .def(py::init<int, int, const Whole &, int>(), py::arg("height"), py::arg("width"),
+             py::arg("places").noconvert(), py::arg("unseen"))
+        .def("look", &Warp::look, py::arg("frame").noconvert());
     py::class_<Convolution>(module, "Convolution")
         .def(py::init<const Floats &, const Floats &, int, int, bool>(),
              py::arg("weights").noconvert(), py::arg("biases").noconvert(), py::kw_only(),

@@ -11,3 +11,4 @@
 #include "reduction.cpp"
 #include "sight.cpp"
 #include "skyline.cpp"
+#include "warp.cpp"

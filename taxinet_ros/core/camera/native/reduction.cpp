@@ -6,20 +6,17 @@
 #include <algorithm>
 #include <cmath>
 
+#include "luma.hpp"
+
 namespace pixels {
 namespace {
 
 constexpr int kMostTaps = 3;
 
-// ITU-R BT.601's luma in 15-bit fixed point.
-constexpr int kRed = 9798, kGreen = 19235, kBlue = 3735, kLumaBits = 15;
-
 FOR_EACH_PROCESSOR void grey_row(const std::uint8_t *__restrict colours, int width,
                                  float *__restrict grey) {
     for (int u = 0; u < width; ++u) {
-        const std::uint8_t *colour = colours + kChannels * u;
-        const int luma = kRed * colour[0] + kGreen * colour[1] + kBlue * colour[2];
-        grey[u] = static_cast<float>((luma + (1 << (kLumaBits - 1))) >> kLumaBits);
+        grey[u] = static_cast<float>(luma(colours + kChannels * u));
     }
 }
 

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.perception.network import IMAGE_SHAPE, usual_frame
+from taxinet_ros.core.perception.network import IMAGE_SHAPE, shrink, usual_frame
 from taxinet_ros.core.perception.onnx.sidecar import (
     MAX_SIDECAR_BYTES,
     Brightest,
@@ -49,6 +49,8 @@ _FATAL = 4
 def prepare(image: NDArray[np.uint8], sidecar: Sidecar) -> NDArray[np.float32]:
     """Convert a camera frame, (height, width, 3) uint8 RGB, to the network's input.
 
+    For a network with a view: the picture of its eye, (64, 192) uint8.
+
     Returns:
         Array of the shape ``sidecar.picture.shape``.
     """
@@ -60,6 +62,9 @@ def prepare(image: NDArray[np.uint8], sidecar: Sidecar) -> NDArray[np.float32]:
 
 def _cut_out(image: NDArray[np.uint8], wanted: Picture) -> NDArray[np.float32]:
     """Colour, crop, resize in whole grey levels, reduce; (height, width, channels)."""
+    if wanted.view is not None:
+        seen = image if image.ndim == 2 else shrink(image)  # a frame of a trial
+        return seen[:, :, np.newaxis].astype(np.float32)
     picture = np.ascontiguousarray(usual_frame(image))
     if wanted.colour in _COLOURS:
         picture = np.asarray(cv2.cvtColor(picture, _COLOURS[wanted.colour]), np.uint8)
@@ -188,6 +193,8 @@ class OnnxNetwork:
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
         """Estimate cross-track [m] and heading error [rad] from a frame (200, 360, 3) uint8.
+
+        Or from the picture of an eye, (64, 192) uint8.
 
         NaN if the network fails; not finite if its output is not.
         """

@@ -8,6 +8,9 @@ in brackets optional::
       [name]                   name of the input, as a check
       layout                   nchw, nhwc, or flat: (1, height x width), row by row, grey only
       colour                   rgb, bgr or grey
+      [view]                   virtual camera that it sees through, as in
+                               :mod:`taxinet_ros.core.perception.eye`: grey, 64 high, 192 wide,
+                               without crop, resize and brightest; by default it sees the frame
       [crop]                   [left, top, right, bottom] pixels of the 360 x 200 frame to keep
       height, width            size of the network's input image
       [resize]                 area (default), linear, cubic or nearest
@@ -39,7 +42,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.core.perception.domain import Domain, read_domain
-from taxinet_ros.core.perception.network import IMAGE_SHAPE
+from taxinet_ros.core.perception.eye import VIEWS
+from taxinet_ros.core.perception.network import IMAGE_SHAPE, INPUT_SHAPE
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, parse_yaml
 
@@ -84,6 +88,7 @@ class Picture:
         height, width: size of the image [pixels].
         resize: one of :data:`RESIZES`.
         brightest: reduction after resizing, or None.
+        view: virtual camera that it sees through, or None.
     """
 
     name: str | None
@@ -94,6 +99,7 @@ class Picture:
     width: int
     resize: str
     brightest: Brightest | None
+    view: str | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -154,7 +160,7 @@ def parse_sidecar(path: Path, data: bytes) -> Sidecar:
     content = parse_yaml(path, data, about=_ABOUT)
     top = Section(path, content, ('input', 'scaling', 'outputs', 'domain'), about=_ABOUT)
     picture = _picture(top.section('input', (
-        'name', 'layout', 'colour', 'crop', 'height', 'width', 'resize', 'brightest')))
+        'name', 'layout', 'colour', 'view', 'crop', 'height', 'width', 'resize', 'brightest')))
     scaling = _scaling(
         top.section('scaling', ('divide_by', 'per_image', 'mean', 'std', 'clip')),
         CHANNELS[picture.colour],
@@ -180,10 +186,25 @@ def _picture(section: Section) -> Picture:
         width=section.whole('width', 1, most),
         resize=section.word('resize', RESIZES, 'area'),
         brightest=brightest,
+        view=section.word('view', tuple(VIEWS)) if 'view' in section else None,
     )
+    if picture.view is not None:
+        _check_view(section, picture)
     if picture.layout == 'flat' and picture.colour != 'grey':
         raise section.wrong('is flat, which is only for grey images; write nchw or nhwc', 'layout')
     return picture
+
+
+def _check_view(section: Section, picture: Picture) -> None:
+    height, width = INPUT_SHAPE
+    for key in ('crop', 'resize', 'brightest'):
+        if key in section:
+            raise section.wrong('has no effect with a view, whose picture is taken whole', key)
+    if (picture.colour, picture.height, picture.width) != ('grey', height, width):
+        raise section.wrong(
+            f'is {picture.colour}, {picture.height} x {picture.width}; the picture of a view is '
+            f'grey, {height} x {width}', 'view',
+        )
 
 
 def _crop(section: Section) -> tuple[int, int, int, int]:
