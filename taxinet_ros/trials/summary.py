@@ -19,6 +19,7 @@ from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, DEFAULT_CAMERA
 from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.registry import KMWH
 from taxinet_ros.trials.options import LOOP, CampaignOptions
 from taxinet_ros.trials.rates import Planned, ProgramRate, count_outcomes, failure_rate
@@ -181,14 +182,14 @@ def summary_json(
     rate, worst = None, None
     if least:
         upper, lower, run_id, outcome = min(least)
-        worst = {'run_id': run_id, 'outcome': outcome, 'rho': [_finite(lower), _finite(upper)]}
+        worst = {'run_id': run_id, 'outcome': outcome, 'rho': [lower, upper]}
     if found.rate is not None:
         value, low, high = found.rate.other
         rate = {
             'value': value, 'low': low, 'high': high, 'confidence': 0.95,
             'anytime': found.anytime,
         }
-    return {
+    return plain({
         'program': options.program, 'seed': options.seed, 'perception': options.perception,
         'controller': options.controller, 'runs': len(rows),
         'outcomes': {
@@ -197,12 +198,8 @@ def summary_json(
         },
         'off_runway': sum(bool(row.left_runway) for row in rows),
         'satisfied': rate, 'why_no_rate': found.why_not or None,
-        'worst': worst, 'out': str(options.out),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+        'worst': worst, 'out': options.out,
+    })
 
 
 def _satisfied_words(failed: ProgramRate) -> str:

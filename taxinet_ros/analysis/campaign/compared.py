@@ -36,11 +36,11 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.text import fill_report
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import plain
 
 TEXT = Path(__file__).with_name('compared.j2')
 _SIGNIFICANT = 0.05
@@ -241,7 +241,7 @@ def compared_json(found: Compared) -> dict[str, Any]:
     report = compared_report(found)
     (table,) = report.sections[0].tables
     names = [column.name for column in table.columns]
-    return plain_values({
+    return plain({
         'before': found.before.label, 'after': found.after.label, 'spec': found.after.spec,
         'scenes': rates.pairs, 'unpaired': found.unpaired,
         'uncounted': found.uncounted, 'tested': found.tested,

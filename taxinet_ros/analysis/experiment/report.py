@@ -24,13 +24,13 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.text import fill_report
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import SIGNALS, parse_spec
 from taxinet_ros.core.mtl.lint import rho_unit
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY, TIME_OF_DAY, clock_words
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.experiment import Experiment
 from taxinet_ros.trials.rates import count_outcomes
 from taxinet_ros.trials.record.row import RunRow
@@ -234,7 +234,7 @@ def experiment_report(found: PairedArms) -> Report:
 def experiment_json(found: PairedArms) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
     experiment, report = found.experiment, experiment_report(found)
-    return plain_values({
+    return plain({
         'experiment': experiment.name, 'facts': dict(report.facts),
         'compare_to': experiment.compare_to, 'over': found.over,
         'made_on': dict(provenance()),

@@ -24,11 +24,11 @@ from taxinet_ros.analysis.explain.pictures import (
 from taxinet_ros.analysis.explain.track import Moment
 from taxinet_ros.analysis.report.parts import Cell, Column, Picture, Report, Table
 from taxinet_ros.analysis.report.text import environment, fill_report
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.world import world_and_camera
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.registry import KMWH
 
 TEXT = Path(__file__).with_name('page.j2')
@@ -77,7 +77,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
     cte_m, he_rad = found.track.greatest_change
     blamed = found.blamed
-    return plain_values({
+    return plain({
         'run_id': found.run.request.run_id, 'perception': found.perception,
         'fingerprint': found.fingerprint, 'recorded_perception': found.run.perception,
         'made_on': dict(provenance()),

@@ -26,6 +26,7 @@ from taxinet_ros.analysis.odd.dispersion import Hole, largest_hole
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, group_rate
 from taxinet_ros.core.scenario_fields import DURATION, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.odd.odd_file import OUTSIDE, Combination, Odd
 from taxinet_ros.trials.rates import rate
 
@@ -445,18 +446,17 @@ def coverage_json(found: OddCoverage) -> dict[str, Any]:
     odd = found.odd
 
     def rated(one: GroupRate) -> dict[str, Any]:
-        values = {'rate': one.rate, 'low': one.low, 'high': one.high}
         return {
             'runs': one.runs, 'failures': one.failures,
             'drawn': 0 if math.isnan(one.effective) else int(one.effective),
-            **{key: None if math.isnan(value) else value for key, value in values.items()},
+            'rate': one.rate, 'low': one.low, 'high': one.high,
         }
 
-    return {
+    return plain({
         'odd': {'name': odd.name, 'source': odd.source, 'sha256': odd.digest},
-        'campaigns': list(found.campaigns), 'spec': found.spec, 'judged': found.judged,
-        'inside': rated(found.rate), 'outside': dict(found.outside),
-        'unjudged': dict(found.unjudged), 'limit': found.limit,
+        'campaigns': found.campaigns, 'spec': found.spec, 'judged': found.judged,
+        'inside': rated(found.rate), 'outside': found.outside,
+        'unjudged': found.unjudged, 'limit': found.limit,
         'parameters': [
             {
                 'key': one.key, 'unit': one.field.unit, 'source': one.source,
@@ -482,7 +482,6 @@ def coverage_json(found: OddCoverage) -> dict[str, Any]:
             'at_least': found.hole.radius, 'least_possible': found.hole.least,
             'hole': found.hole_words(),
         },
-        'never_varied': list(found.fixed), 'not_in_odd': list(found.unmentioned),
-        'cautions': list(found.cautions),
-    }
-
+        'never_varied': found.fixed, 'not_in_odd': found.unmentioned,
+        'cautions': found.cautions,
+    })

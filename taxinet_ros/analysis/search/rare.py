@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import json_text
 from taxinet_ros.samplers.splitting import WIDE, RareEstimate, Splitting, State
 from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.trials.engine import Engine
@@ -66,8 +66,8 @@ def estimate_values(found: RareEstimate, search: Engine[Search]) -> dict[str, An
         'drawn': found.drawn, 'drawn_failed': found.drawn_failed,
         'levels': [
             {
-                'below': _finite(step.below), 'probability': step.probability,
-                'islands': step.islands, 'accepted': _finite(step.accepted),
+                'below': step.below, 'probability': step.probability,
+                'islands': step.islands, 'accepted': step.accepted,
             } for step in found.steps
         ],
         'curve': [
@@ -75,10 +75,6 @@ def estimate_values(found: RareEstimate, search: Engine[Search]) -> dict[str, An
             for point in found.curve
         ],
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _without_result(search: Engine[Search]) -> int:
@@ -89,7 +85,7 @@ def write_estimate(found: RareEstimate, search: Engine[Search]) -> tuple[Path, P
     """Write ``estimate.json`` and ``tail.png`` into the campaign's folder."""
     out = search.options.out
     values = estimate_values(found, search)
-    write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
+    write_atomically(out / JSON_NAME, json_text(values) + '\n')
     if not found.curve:
         return out / JSON_NAME, None
     campaign = search.options

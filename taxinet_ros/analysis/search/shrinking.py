@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +23,7 @@ from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import json_text, plain
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.shrink.report import (
@@ -128,7 +127,7 @@ def write_shrunk(shrinking: Shrinking, found: Report) -> list[str]:
         for one in found.findings if one.matters and one.rho_passes_at is not None
     }
     write_atomically(out / PROGRAM_NAME, scenario_program(found.scenario, about, remarks))
-    write_atomically(out / JSON_NAME, json.dumps(_as_json(shrinking, found), indent=2) + '\n')
+    write_atomically(out / JSON_NAME, json_text(_as_json(shrinking, found)) + '\n')
     report = shrink_report(shrinking, found)
     write_pictures(report, out)
     write_report_page(report, out / PAGE_NAME)
@@ -195,7 +194,7 @@ def _as_json(shrinking: Shrinking, found: Report) -> dict[str, Any]:
         'made_on': dict(provenance()),
         'parameters': {
             one.key: {
-                **{name: value for name, value in dataclasses.asdict(one).items() if name != 'key'},
+                **{name: value for name, value in plain(one).items() if name != 'key'},
                 'matters': one.matters,
             }
             for one in found.findings

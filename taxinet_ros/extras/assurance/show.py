@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
 from pathlib import Path
 
@@ -41,6 +39,7 @@ from taxinet_ros.extras.assurance.judge import (
     plain_result,
 )
 from taxinet_ros.extras.assurance.recorded import judge_recording
+from taxinet_ros.files.plain_values import json_text, plain
 from taxinet_ros.trials.rates import Rate
 
 _PAGE_WIDTH = 100
@@ -77,7 +76,7 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
         judged = judge(options, show)
     code = ExitCode.INCOMPLETE if judged.unjudged else ExitCode.OK
     if as_json:
-        print(json.dumps(plain_result(options, judged), indent=2, allow_nan=False))
+        print(json_text(plain_result(options, judged)))
         return code
     console = _console()
     for trouble in judged.unjudged:
@@ -133,13 +132,10 @@ def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: boo
             )
         found = judge_recording(recording, make_monitor(word))
     if as_json:
-        alarm = None if found.alarm is None else {
-            **dataclasses.asdict(found.alarm), 'at_s': found.alarm.at_s
-        }
-        largest = {name: x if math.isfinite(x) else None for name, x in found.largest.items()}
-        print(json.dumps(
-            {'monitor': word, 'alarm': alarm, 'largest': largest, 'steps': found.steps}, indent=2,
-        ))
+        alarm = found.alarm and {**plain(found.alarm), 'at_s': found.alarm.at_s}
+        print(json_text({
+            'monitor': word, 'alarm': alarm, 'largest': found.largest, 'steps': found.steps,
+        }))
         return ExitCode.OK
     console = _console()
     console.print(

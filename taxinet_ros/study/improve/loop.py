@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.causes.region import Region, part_of
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.perception.weights import card_path, load_model
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import make_atomically
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.improve.acceptance import Decision, decide
 from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
@@ -63,7 +63,7 @@ class Round:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values for the record, with None for numbers that are not finite."""
-        values = plain_values(asdict(self))
+        values = plain(self)
         return {'round': values.pop('number'), **values}
 
 

@@ -15,10 +15,10 @@ from taxinet_ros.analysis.experiment.arms import paired_arms
 from taxinet_ros.analysis.experiment.report import arms_picture
 from taxinet_ros.analysis.report.parts import Column, Picture, Report, Table
 from taxinet_ros.analysis.report.text import fill_report
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically, write_parquet
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
 from taxinet_ros.study.report.figures import (
     day_pictures,
@@ -278,7 +278,7 @@ def _wall(line: Mapping[Hashable, Any]) -> str:
 
 def study_values(found: StudyFindings) -> dict[str, Any]:
     """The findings as plain values; shares are fractions, unknown values None."""
-    return plain_values({
+    return plain({
         'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
         'made_on': dict(provenance()),
         'config': dataclasses.asdict(found.config), 'summary': list(study_report(found).summary),
