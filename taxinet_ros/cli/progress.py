@@ -23,7 +23,7 @@ from rich.progress import (
 
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
-from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 from taxinet_ros.trials.rates import count_outcomes
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.summary import row_line
@@ -90,12 +90,16 @@ def trial_bar(
     """Return a function to call after each trial, and whether Ctrl-C has asked to start no more."""
     asked: list[bool] = []
     done = itertools.count(1)
-    with stage_bars(console) as show, interrupts(lambda: asked.append(True)):
-        def count() -> None:
-            number = next(done)
-            show(stage, number, max(total, number))
+    try:
+        with stage_bars(console) as show, interrupts(lambda: asked.append(True)):
+            def count() -> None:
+                number = next(done)
+                show(stage, number, max(total, number))
 
-        yield count, lambda: bool(asked)
+            yield count, lambda: bool(asked)
+    except KeyboardInterrupt:
+        console.print('interrupted; the same command goes on')
+        raise ToldInterrupt from None
 
 
 class Heartbeat:

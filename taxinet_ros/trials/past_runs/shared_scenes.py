@@ -304,6 +304,7 @@ class SharedTrials(TrialRecord):
         Raises:
             UsageError: there is no such network.
             InfraError: worker processes end one after the other.
+            KeyboardInterrupt: interrupted, with wanted runs left.
         """
         fingerprint, system = check_perception(network), self.scenes.system_with(network)
         self.make({
@@ -311,7 +312,11 @@ class SharedTrials(TrialRecord):
             for scene in self.scenes.scenes
             if (name := scene.row.run_id) and (wanted is None or name in wanted)
         }, workers, on_trial, interrupted)
-        return self._results(network)
+        done = self._results(network)
+        names = {scene.row.run_id for scene in self.scenes.scenes} if wanted is None else {*wanted}
+        if interrupted() and names - done.keys():
+            raise KeyboardInterrupt
+        return done
 
     def _results(self, network: str) -> dict[str, Trial]:
         fingerprint, known = check_perception(network), self.done
