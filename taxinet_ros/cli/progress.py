@@ -84,18 +84,29 @@ def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextlib.contextmanager
+def count_bar(console: Console, stage: str, total: int) -> Iterator[Callable[[], None]]:
+    """Return a function to call after each of a number of equal pieces of work."""
+    done = itertools.count(1)
+    with stage_bars(console) as show:
+        def count() -> None:
+            number = next(done)
+            show(stage, number, max(total, number))
+
+        yield count
+
+
+@contextlib.contextmanager
 def trial_bar(
     console: Console, stage: str, total: int
 ) -> Iterator[tuple[Callable[[], None], Callable[[], bool]]]:
-    """Return a function to call after each trial, and whether Ctrl-C has asked to start no more."""
-    asked: list[bool] = []
-    done = itertools.count(1)
-    try:
-        with stage_bars(console) as show, interrupts(lambda: asked.append(True)):
-            def count() -> None:
-                number = next(done)
-                show(stage, number, max(total, number))
+    """Return a function to call after each trial, and whether Ctrl-C has asked to start no more.
 
+    Raises:
+        ToldInterrupt: trials are left, and it is told so.
+    """
+    asked: list[bool] = []
+    try:
+        with count_bar(console, stage, total) as count, interrupts(lambda: asked.append(True)):
             yield count, lambda: bool(asked)
     except KeyboardInterrupt:
         console.print('interrupted; the same command goes on')

@@ -56,10 +56,10 @@ def explain(
     """
     from taxinet_ros.analysis.explain.explain import explain
     from taxinet_ros.analysis.explain.report import explain_json, explain_report
-    from taxinet_ros.cli.bag.input import readable_run
     from taxinet_ros.cli.progress import stage_bars
     from taxinet_ros.core.perception.perception import make_perception
     from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
+    from taxinet_ros.trials.past_runs.repeated_run import readable_run
 
     console = line_console(stderr=as_json)
     with readable_run(bag, run_id) as recording:
@@ -87,7 +87,7 @@ def explain(
 
 def _network(run: RecordedRun, asked: str | None) -> str:
     """Word or file of the network to examine; by default the run's own, if available."""
-    from taxinet_ros.cli.bag.input import perception_of
+    from taxinet_ros.trials.past_runs.repeated_run import perception_of
 
     name = run.request.run_id
     if asked == 'truth':

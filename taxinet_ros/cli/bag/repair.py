@@ -151,7 +151,8 @@ def render(
     """
     from taxinet_ros.bag.rewrite.split import write_runs
     from taxinet_ros.bag.run.recording import open_recording
-    from taxinet_ros.cli.bag.input import exit_code_of, one_run
+    from taxinet_ros.cli.bag.input import exit_code_of
+    from taxinet_ros.trials.past_runs.repeated_run import one_run
 
     def work() -> int:
         recording = one_run(bag, run_id)

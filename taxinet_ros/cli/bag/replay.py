@@ -69,7 +69,7 @@ def replay(
     Regression test for a retrained network. Missing frames are rendered. Exit code: 0 equal within
     the tolerances, 1 different, 2 bad input, 4 the node failed.
     """
-    from taxinet_ros.cli.bag.input import readable_run
+    from taxinet_ros.trials.past_runs.repeated_run import readable_run
 
     tolerances = {'cte': tolerance_cte, 'he': tolerance_he}
     for name, value in tolerances.items():
@@ -105,11 +105,11 @@ def run_replay(
     """
     from taxinet_ros.analysis.one_run.replay import difference, plot_replay, quantities
     from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL
-    from taxinet_ros.cli.bag.input import controller_of, perception_of
     from taxinet_ros.core.assurance.switch import parts_of
     from taxinet_ros.core.motion.controller import STEERING
     from taxinet_ros.nodes.graph.replay import replay
     from taxinet_ros.trials.options import check_new, new_folder
+    from taxinet_ros.trials.past_runs.repeated_run import controller_of, perception_of
 
     console = line_console()
     run, trace = recording.run, recording.columns
@@ -166,8 +166,8 @@ def _folder(run: RecordedRun, target: str, word: str) -> Path:
 
 def _names(run: RecordedRun, target: str, word: str, fingerprint: str) -> tuple[str, str]:
     """Labels of the recorded and the new outputs."""
-    from taxinet_ros.cli.bag.input import perception_words
     from taxinet_ros.core.user_code import short_word
+    from taxinet_ros.trials.past_runs.repeated_run import perception_words
 
     if target != PERCEPTION:
         return 'recorded', 'now'

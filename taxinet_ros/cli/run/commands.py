@@ -141,8 +141,8 @@ def _start_scenic() -> None:
 
 
 def _run_from(context: typer.Context, bag: Path) -> int:
-    from taxinet_ros.cli.bag.input import readable_run
     from taxinet_ros.cli.bag.rerun import check_options, run_again
+    from taxinet_ros.trials.past_runs.repeated_run import readable_run
 
     given = given_options(context)
     check_options(given)

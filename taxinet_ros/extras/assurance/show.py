@@ -12,7 +12,6 @@ from rich.table import Table
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
-from taxinet_ros.cli.bag.input import readable_run
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.assurance.monitor import (
     SUSTAINED,
@@ -40,6 +39,7 @@ from taxinet_ros.extras.assurance.judge import (
 )
 from taxinet_ros.extras.assurance.recorded import judge_recording
 from taxinet_ros.files.plain_values import json_text, plain
+from taxinet_ros.trials.past_runs.repeated_run import readable_run
 from taxinet_ros.trials.rates import Rate
 
 _PAGE_WIDTH = 100

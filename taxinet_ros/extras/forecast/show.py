@@ -17,7 +17,6 @@ from rich.console import Console
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.cli.bag.input import readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.forecast.forecast import (
@@ -36,6 +35,7 @@ from taxinet_ros.extras.forecast.forecast import (
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import json_text, plain
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.trials.past_runs.repeated_run import readable_bags
 from taxinet_ros.trials.record.facts import is_campaign
 
 NO_GUARANTEE = 'no guarantee'
