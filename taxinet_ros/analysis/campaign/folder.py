@@ -18,7 +18,6 @@ from taxinet_ros.analysis.causes.program import (
     write_scenes_program,
 )
 from taxinet_ros.analysis.report.parts import Report, Table
-from taxinet_ros.analysis.report.pictures import write_pictures
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
@@ -139,7 +138,7 @@ def write_analysis(
         UsageError: the folder cannot be created.
         OSError: a file cannot be written.
     """
-    from taxinet_ros.analysis.report.page import write_report_page
+    from taxinet_ros.analysis.report.page import write_report
 
     _begin(out)
     others = _files(out)
@@ -150,8 +149,7 @@ def write_analysis(
     for section in report.sections:
         for table in section.tables:
             write_atomically(out / f'{table.name}.csv', csv_text(table))
-    write_pictures(report, out, on_progress)
-    write_report_page(report, out / PAGE_NAME, on_progress=on_progress)
+    write_report(report, out / PAGE_NAME, on_progress=on_progress)
     files = sorted({*_files(out) - others, JSON_NAME})
     values = {**findings_values(findings, report), 'files': files}
     write_sealed(out / JSON_NAME, values, [out / name for name in files if name in _TABLES])

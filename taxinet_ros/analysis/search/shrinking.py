@@ -11,10 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.one_run.trajectories import BAND_M, Trajectory
-from taxinet_ros.analysis.report.page import write_report_page
+from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import Column, Picture, Table, Theme
 from taxinet_ros.analysis.report.parts import Report as PageReport
-from taxinet_ros.analysis.report.pictures import write_pictures
 from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import signs
 from taxinet_ros.bag.run.recording import open_recording
@@ -129,8 +128,7 @@ def write_shrunk(shrinking: Shrinking, found: Report) -> list[str]:
     write_atomically(out / PROGRAM_NAME, scenario_program(found.scenario, about, remarks))
     write_atomically(out / JSON_NAME, json_text(_as_json(shrinking, found)) + '\n')
     report = shrink_report(shrinking, found)
-    write_pictures(report, out)
-    write_report_page(report, out / PAGE_NAME)
+    write_report(report, out / PAGE_NAME)
     pictures = [PICTURE_NAME] if report.sections[0].pictures else []
     return [PAGE_NAME, PROGRAM_NAME, JSON_NAME, *pictures]
 

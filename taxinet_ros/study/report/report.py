@@ -106,8 +106,7 @@ def write_study_report(
         UsageError: no network has been evaluated, or a file of the study is damaged.
         OSError: a file cannot be written.
     """
-    from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import write_pictures
+    from taxinet_ros.analysis.report.page import write_report
 
     found = gather_findings(config, out, tables)
     folder = out / REPORT
@@ -118,8 +117,7 @@ def write_study_report(
     for name, frame in found.frames().items():
         write_parquet(folder / f'{name}.parquet', frame)
     report = study_report(found)
-    write_pictures(report, folder)
-    write_report_page(report, folder / PAGE_NAME)
+    write_report(report, folder / PAGE_NAME)
     text = json.dumps(study_values(found), indent=2, allow_nan=False, ensure_ascii=False)
     write_atomically(folder / JSON_NAME, text + '\n')
     claims = [f'{claim.name}: {claim.sentence()}' for claim in found.claims] if tables else []
