@@ -9,6 +9,7 @@ from typing import Any
 import typer
 
 from taxinet_ros.cli.commands import command_function
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.trials.options import GRAPH, make_options
@@ -63,9 +64,11 @@ def _train(
 
 
 def _report(_: str, options: Mapping[str, Any]) -> int:
-    from taxinet_ros.cli.study.case_study import report_case_study
+    from taxinet_ros.study.report.report import report_case_study
 
-    return report_case_study(options['out'])
+    for line in report_case_study(options['out']):
+        line_console().print(line)
+    return ExitCode.OK
 
 
 def _command(

@@ -42,11 +42,12 @@ from taxinet_ros.study.report.tables import (
     stages_frame,
     table_of,
 )
-from taxinet_ros.study.stages.config import StudyConfig
-from taxinet_ros.study.stages.plan import PAPER_RULE, REPORT, stages
+from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config
+from taxinet_ros.study.stages.plan import COMMAND, PAPER_RULE, REPORT, read_study, stages
 from taxinet_ros.study.stages.progress import clock, rough_duration
 from taxinet_ros.study.stages.record import read_stages
 from taxinet_ros.trials.experiment import arm_rows, find_experiment, read_experiment
+from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.version import __version__
 
 TEXT = Path(__file__).with_name('page.j2')
@@ -87,6 +88,31 @@ class StudyFindings:
             'rho_by_distance': self.distances, 'pairs': self.pairs, 'learned': self.learned,
             'stages': self.stages,
         }
+
+
+def report_case_study(
+    out: Path | None, *, config: Path | None = None, tables: Path | None = None
+) -> list[str]:
+    """Write the report of the stages done in a folder, or of tables into a new one.
+
+    Args:
+        out: folder of the study.
+        config: configuration of the tables' study; None for the shipped one.
+        tables: folder of the tables, or None.
+
+    Returns:
+        Lines to print, as of :func:`write_study_report`.
+
+    Raises:
+        UsageError: bad input.
+    """
+    if tables is not None:
+        out = out or new_folder(DEFAULT_ROOT / COMMAND)
+        check_new(out)
+        return write_study_report(read_config(config or shipped_config()), out, tables)
+    if out is None:
+        raise UsageError('--report-only: name the case study with --out')
+    return write_study_report(read_study(out, '--report-only'), out)
 
 
 def write_study_report(

@@ -32,6 +32,7 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.scenes.source import Rejected, SceneSource
+from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.past_runs.judged_run import find_run
 from taxinet_ros.trials.past_runs.recorded_campaign import (
     RecordedCampaign,
@@ -270,6 +271,22 @@ def scenes_of_program(
         source=program, scenes=tuple(scenes), system=System(perception=GroundTruth.word),
         judging=_headline(judging),
     )
+
+
+def scenes_of_options(options: CampaignOptions) -> SceneSet:
+    """Fresh scenes of the program of options, with the system that they ask for.
+
+    Raises:
+        UsageError: as :func:`scenes_of_program`.
+    """
+    scenes = scenes_of_program(
+        options.program, runs=options.runs, seed=options.seed, judging=options.judging,
+        overrides=options.overrides,
+    )
+    return dataclasses.replace(scenes, system=dataclasses.replace(
+        scenes.system, gains=options.gains, controller=options.controller, timing=options.timing,
+        world=options.world, world_sha256=find_world(options.world).fingerprint,
+    ))
 
 
 class SharedTrials(TrialRecord):
