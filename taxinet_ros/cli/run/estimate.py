@@ -87,13 +87,16 @@ def estimate(
     with missing_packages_named(out if resume else None):
         campaign = campaign_of(context)
         search = make_estimate(campaign, floor=down_to, islands=islands, workers=workers)
-    raise typer.Exit(_run_estimate(search, quiet=quiet, as_json=as_json))
+    raise typer.Exit(run_estimate(search, quiet=quiet, as_json=as_json))
 
 
-def _run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
+def run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
     """Run the chains, and print and write the estimate.
 
-    The exit code is 3 for a wide interval, and where too few runs were asked for.
+    Args:
+        asked: the search, by the sampler ``splitting``.
+        quiet: print warnings and the result only.
+        as_json: print the result as JSON, and all else on standard error.
     """
     from taxinet_ros.analysis.search.rare import (
         estimate_lines,
