@@ -77,7 +77,7 @@ def experiment(
     if perception is not None:
         asked = with_network(asked, perception)
     raise typer.Exit(
-        _run_experiment(
+        run_experiment(
             asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),
             workers=workers, resume=resume, as_json=as_json, engine=engine, audit=audit,
             cluster=cluster,
@@ -85,7 +85,7 @@ def experiment(
     )
 
 
-def _run_experiment(
+def run_experiment(
     experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool,
     engine: str = GRAPH, audit: str | None = None, cluster: str | None = None,
 ) -> int:
