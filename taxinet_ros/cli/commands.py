@@ -139,7 +139,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     'Recordings and tools': {
         'bag': ('bag.commands:bag_app', 'Inspect, check, repair and export bags.'),
         'doctor': (
-            'bag.doctor:doctor', 'Check this machine, or every file in a results folder.',
+            'doctor:doctor', 'Check this machine, or every file in a results folder.',
         ),
         'setup-messages': (
             'messages:setup_messages',
