@@ -24,8 +24,10 @@ import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
 
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import (
@@ -53,6 +55,7 @@ from taxinet_ros.trials.sequential import (
 if TYPE_CHECKING:
     from taxinet_ros.analysis.gate.baseline import AgainstBaseline
 
+_TEXT = Path(__file__).with_name('gate.j2')
 _SATISFIED = 'satisfied'
 MOST_RUNS = 10**7
 """Maximum number of additional runs suggested."""
@@ -362,15 +365,20 @@ def _criterion(
     else:
         verdict = Verdict.INCONCLUSIVE
         more = None if planned else further_runs(good, threshold, options.confidence)
-    name, shown, limit = _SATISFIED, found, threshold
+    name, limit = _SATISFIED, threshold
     if off:
-        shown = Bounds(1 - found.share, 1 - found.high, 1 - found.low)
         name, limit = 'off the runway', options.max_off_runway or 0.0
+    shown, once = (
+        _shown(one, off=off) for one in (found, bounds(good, options.confidence, Look.PLANNED)))
     sign = '<=' if off else '>='
     return Criterion(
         kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {limit:g}', verdict=verdict, bounds=shown, more_runs=more,
-        sentence=_sentence(name, shown, good, options, verdict, more),
+        sentence=macro_text(
+            _TEXT, 'share', good=good, shown=shown, once=once, name=name,
+            confidence=options.confidence, look=options.look, more=more,
+            undecided=verdict is Verdict.INCONCLUSIVE,
+        ),
     )
 
 
@@ -387,31 +395,9 @@ def _sequential(
     return Criterion(
         kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {test.shown(test.limit):g}, sequential', verdict=verdict,
-        course=found, test=test, sentence=_sequential_sentence(found, good, test, name),
+        course=found, test=test,
+        sentence=macro_text(_TEXT, 'sequential', found=found, good=good, test=test, name=name),
     )
-
-
-def _sequential_sentence(
-    found: Course, good: ProgramRate, test: SequentialTest, name: str
-) -> str:
-    if not good.runs:
-        return 'no run was judged'
-    if not good.drawn:
-        return good.why_not
-    shown = found.bad if test.criterion == MAX_OFF_RUNWAY else found.runs - found.bad
-    seen = f'{shown:,} of {found.runs:,} runs are {name}'
-    sure = f'with {100 * test.confidence:g} % confidence'
-    if found.decision is None:
-        return f'not decided yet: {seen}; go on: taxinet falsify --resume --until {test}'
-    at = f'decided by run {found.index}: {seen}'
-    if found.decision is Decision.BELOW_DESIGN:
-        assert test.design is not None
-        return (
-            f'{at}; {sure} not as good as the design, {test.shown(test.design):g}; whether the '
-            'threshold is met stays open'
-        )
-    meets = 'meets' if found.decision is Decision.PASS else 'misses'
-    return f'{at}; {sure} the system {meets} the threshold'
 
 
 def _stop_notes(
@@ -447,63 +433,14 @@ def _stop_notes(
     return notes
 
 
-def _sentence(
-    name: str, shown: Bounds, good: ProgramRate, options: GateOptions, verdict: Verdict,
-    more: int | None,
-) -> str:
-    if options.look is Look.PLANNED and (good.anytime or not good.runs):
-        return (
-            f'{good.drawn:,} runs are not the number that was planned before the first one, so '
-            'there is no planned look; leave --planned out'
-        )
-    if not good.runs:
-        needed = f': {more:,} runs, all good, would suffice' if more else ''
-        return f'no run was judged{needed}'
-    if not good.drawn:
-        return good.why_not
-    text = (
-        f'{_percent(shown.share)} of {good.drawn:,} runs are {name}: at least '
-        f'{_percent(shown.low)} and at most {_percent(shown.high)} '
-        f'({_confidence_words(name, good, options)})'
-    )
-    if verdict is not Verdict.INCONCLUSIVE:
-        return text
-    if options.look is Look.PLANNED:
-        return f'{text}; more runs would need another campaign, or no --planned'
-    return f'{text}; {further_words(good, more)}'
-
-
-def _confidence_words(name: str, good: ProgramRate, options: GateOptions) -> str:
-    """Confidence of both bounds, and what they would be for a single look."""
-    if options.look is Look.PLANNED:
-        return f'{100 * options.confidence:g} % one-sided each, as you look once'
-    each = f'{50 * (1 + options.confidence):g} % one-sided each'
-    if good.anytime:
-        return f'{each}, at any number of runs, as you may look again'
-    once = bounds(good, options.confidence, Look.PLANNED)
-    low, high = (once.low, once.high) if name == _SATISFIED else (1 - once.high, 1 - once.low)
-    return (
-        f'{each}, as you may look again; if you look once, --planned: {_percent(low)} and '
-        f'{_percent(high)}'
-    )
+def _shown(found: Bounds, *, off: bool) -> Bounds:
+    """Bounds of good runs in the words of a criterion, which may limit the others."""
+    return Bounds(1 - found.share, 1 - found.high, 1 - found.low) if off else found
 
 
 def further_words(good: ProgramRate, more: int | None) -> str:
     """How many further runs would decide, of :func:`further_runs`."""
-    if more is None:
-        return 'too close to the threshold for any realistic number of runs'
-    if good.drawn_hits == good.drawn:
-        return f'{more:,} more runs needed, without a failure'
-    return f'about {_rounded(more):,} more runs needed if the share stays the same'
-
-
-def _percent(share: float) -> str:
-    return f'{100 * share:.2f} %'
-
-
-def _rounded(number: int) -> int:
-    """A number rounded to two significant digits."""
-    return int(float(f'{number:.1e}'))
+    return macro_text(_TEXT, 'further', good=good, more=more)
 
 
 def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
