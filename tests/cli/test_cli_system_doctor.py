@@ -96,8 +96,8 @@ NO_RANGE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'NEAR'}
 ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'}
 RECORDER = Path(sys.prefix, 'lib', 'taxinet_ros', 'recorder')
 CHECK_ROS = (
-    'from taxinet_ros.cli import system; system._CHECKS = {"ros": system._ros}; '
-    'raise SystemExit("".join(one.state + one.found for one in system.system_checks()))'
+    'from taxinet_ros import machine; machine._CHECKS = {"ros": machine._ros}; '
+    'raise SystemExit("".join(one.state + one.found for one in machine.system_checks()))'
 )
 
 
