@@ -18,6 +18,7 @@ from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.show import print_json
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.forecast.forecast import (
     STEP_S,
@@ -33,7 +34,7 @@ from taxinet_ros.extras.forecast.forecast import (
     write_forecast,
 )
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.plain_values import json_text, plain
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
 from taxinet_ros.trials.past_runs.repeated_run import readable_bags
 from taxinet_ros.trials.record.facts import is_campaign
@@ -151,7 +152,7 @@ def show_forecast(
 def _print(block: str, as_json: bool, values: Any, **more: Any) -> None:
     """Print values as JSON, or by a block of the template ``show.j2``."""
     if as_json:
-        print(json_text(values))
+        print_json(values)
         return
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined,
