@@ -18,7 +18,7 @@ from common import Progress, leave, make_table, one_of, options, run_study
 import numpy as np
 from rich.console import Console
 
-from taxinet_ros.analysis.gate import bounds
+from taxinet_ros.analysis.gate.criteria import bounds
 from taxinet_ros.bench.measure import machine_facts
 from taxinet_ros.processes.pool import process_pool
 from taxinet_ros.samplers.registry import SAMPLERS, drawn_share, make_sampler

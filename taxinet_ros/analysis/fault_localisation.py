@@ -28,12 +28,12 @@ from taxinet_ros.analysis.report.parts import (
     Theme,
     style_axes,
 )
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import PAPER_FIELDS
 from taxinet_ros.files.atomic import make_atomically, write_parquet
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.past_runs.localisation import Trials
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.trials.past_runs.trials import Trial
@@ -310,7 +310,7 @@ def localisation_sentences(found: Localisation) -> Iterator[str]:
 
 def localisation_json(found: Localisation) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
-    return plain_values({
+    return plain({
         'perception': found.perception, 'spec': found.spec, 'failed': found.failed,
         'judged': found.runs, 'looked_into': len(found.cases), 'counted': len(found.counted),
         'scenes_from_record': found.rounded, 'made_on': dict(provenance()),

@@ -9,10 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
+from taxinet_ros.analysis.gate.criteria import further_runs as runs_to_decide
+from taxinet_ros.analysis.gate.criteria import further_words
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.trials.rates import CONFIDENCE, ProgramRate, rate_of
 from taxinet_ros.trials.sample_size import (
@@ -160,6 +166,12 @@ class Planned:
     likely: Further | None = None
     by_sequential: int | None = None
 
+    @property
+    def plans(self) -> list[Plan]:
+        """All plans with a fixed number of runs, the shortest first."""
+        found = {(one.runs, one.failures): one for one in (*self.fixed, self.powered) if one}
+        return [found[key] for key in sorted(found)]
+
 
 def parse_so_far(text: str) -> ProgramRate:
     """Parse ``RUNS:FAILURES``, runs drawn by the program itself.
@@ -298,3 +310,52 @@ def hopeless(planned: Planned) -> bool:
     """Whether the campaign shows that the claim is false, at the claim's confidence."""
     found, claim = planned.found, planned.claim
     return found is not None and found.bounds(1 - claim.any_look)[0] > claim.limit
+
+
+def plan_lines(planned: Planned, rules: Sequence[str] = ()) -> tuple[str, str]:
+    """What the command prints before and after the table of plans.
+
+    Args:
+        planned: the plan.
+        rules: stop rules by which the campaign may have ended.
+    """
+    found, claim = planned.found, planned.claim
+    after = _text('looks', p=planned)
+    if found is not None:
+        decide = ''
+        if found.drawn_hits:
+            good = replace(
+                found, hits=found.runs - found.hits, drawn_hits=found.drawn - found.drawn_hits)
+            decide = further_words(good, runs_to_decide(good, 1 - claim.limit, claim.confidence))
+        low, high = two_sided(found)
+        after += '\n' + _text(
+            'further', p=planned, low=low, high=high, rules=rules, hopeless=hopeless(planned),
+            decide=decide,
+        )
+    return _text('claim', p=planned), after
+
+
+def _text(macro: str, **values: Any) -> str:
+    return macro_text(Path(__file__).with_suffix('.j2'), macro, **values)
+
+
+def plan_json(planned: Planned) -> dict[str, Any]:
+    """The plan as plain values."""
+    found, test = planned.found, planned.sequential
+    values: dict[str, Any] = {
+        'claim': planned.claim, 'fixed': planned.fixed, 'with_power': planned.powered,
+        'gate_at_any_look_without_failure': planned.any_look,
+        'sequential': test and {
+            'test': str(test.test), 'most_runs': test.most, 'if_true': test.at_truth,
+            'at_limit': test.at_limit,
+        },
+    }
+    if found is not None:
+        low, high = two_sided(found)
+        values['campaign'] = {
+            'runs': found.runs, 'drawn': found.drawn, 'bad': found.drawn_hits, 'low': low,
+            'high': high, 'number_fixed': not found.anytime, 'claim_is_false': hopeless(planned),
+            'further': planned.further, 'further_by_sequential': planned.by_sequential,
+            'likely': planned.likely,
+        }
+    return plain(values)

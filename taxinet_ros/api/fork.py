@@ -33,6 +33,7 @@ from taxinet_ros.bag.run.topics import ESTIMATE
 from taxinet_ros.bag.run.trace import CameraFrame
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.fork import (
+    MOVES,
     Fork,
     ReplayedController,
     ReplayedPerception,
@@ -58,9 +59,6 @@ from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
-
-MOVES = ('distance_m', 'cte_m', 'heading_deg', 'speed_mps')
-"""Offsets by which the aircraft can be placed anew."""
 
 _GAIN = 'steering.'
 _OFF_STEP_S = 1e-6  # 7.3 s is no binary fraction
@@ -458,3 +456,75 @@ def find_rescue(
         saved=forks.get(saved), later_s=later, tried=len(forks),
         lost_s=None if saved == last else first_lost * CONTROL_PERIOD_NS / NS_PER_S,
     )
+
+
+def save_fork(
+    past: Past, done: Run, change: Mapping[str, Any], out: Path, *, images: bool
+) -> dict[str, Any]:
+    """Write bag and picture of a forked run; what was done, as values of JSON.
+
+    Args:
+        past: the run that was forked.
+        done: the forked run.
+        change: arguments of :func:`fork_past`.
+        out: folder.
+        images: whether the bag has the camera frames.
+    """
+    from taxinet_ros.analysis.one_run.fork import change_words, forked_values
+
+    fork = done.fork_of
+    assert fork is not None
+    out.mkdir(parents=True, exist_ok=True)
+    bag = done.save_bag(out / f'{fork.run_id}-at-{fork.at_s:g}s', images=images)
+    words = change_words(past.recording, change, fork)
+    return forked_values(past.recording, bag, fork, words, out)
+
+
+def save_rescue(
+    past: Past, found: Rescue, change: Mapping[str, Any], out: Path, *, images: bool
+) -> dict[str, Any]:
+    """The same of the last moment at which a change saves a run; arguments as there."""
+    from taxinet_ros.analysis.one_run.fork import change_words
+
+    fork = None if found.saved is None else found.saved.fork_of
+    saved = {} if found.saved is None else save_fork(past, found.saved, change, out, images=images)
+    return {
+        'run_id': past.recording.run_id, 'change': change_words(past.recording, change, fork),
+        'last_saved_s': fork and fork.at_s, 'first_lost_s': found.lost_s,
+        'saved_later_s': found.later_s, 'forks': found.tried, **saved,
+    }
+
+
+def sweep_past(
+    past: Past, change: Mapping[str, Any], key: str, values: Sequence[float], *, at_s: float,
+    on_fork: Callable[[], None],
+) -> tuple[str, list[dict[str, Any]]]:
+    """Fork a run with several values of a key or gain.
+
+    Args:
+        past: the run.
+        change: what else changes; arguments of :func:`fork_past`.
+        key: key or gain.
+        values: its values.
+        at_s: from when it is forked [s].
+        on_fork: called after each fork.
+
+    Returns:
+        Name of the headline; value, outcome and ends of rho of each fork.
+
+    Raises:
+        UsageError: as :func:`fork`; or the key is changed in any case.
+    """
+    from taxinet_ros.analysis.one_run.fork import value_before
+
+    if key in change['settings']:
+        raise UsageError(f'--sweep {key}: is given by --set too; leave one out')
+    recorded, points = value_before(past.recording, key), []
+    for value in values:
+        # As recorded is no change, but is a point of the curve.
+        new = {} if value == recorded else {key: value}
+        done = fork_past(past, at_s=at_s, **{**change, 'settings': {**change['settings'], **new}})
+        headline = next(iter(done.rho))
+        points.append({key: value, 'outcome': done.outcome, **done.rho[headline].by_end()})
+        on_fork()
+    return headline, points

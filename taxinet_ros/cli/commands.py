@@ -22,7 +22,7 @@ from taxinet_ros.registry import COMMANDS, SHIPPED, Extension, find, installed
 SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     'Run scenes': {
         'demo': ('run.demo:demo', 'Run ten scenes with both networks and with ground truth.'),
-        'run': ('run.commands:run', "Run a Scenic program's scenes through the graph."),
+        'run': ('run.run:run', "Run a Scenic program's scenes through the graph."),
         'up': (
             'run.up:up',
             'Start every node except the sampler in its own process and keep them running.',
@@ -33,9 +33,9 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         ),
     },
     'Search for failures': {
-        'falsify': ('run.commands:falsify', 'Search a Scenic program for violating scenes.'),
+        'falsify': ('run.falsify:falsify', 'Search a Scenic program for violating scenes.'),
         'estimate': (
-            'run.commands:estimate',
+            'run.estimate:estimate',
             'Estimate the probability of rare failures, down to one in a hundred thousand.',
         ),
     },
@@ -50,14 +50,14 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         ),
         'explain': ('analysis.explain:explain', 'Explain why the network failed in one run.'),
         'shrink': (
-            'run.commands:shrink', 'Shrink a failed run to the nearest scenario that still fails.',
+            'run.shrink:shrink', 'Shrink a failed run to the nearest scenario that still fails.',
         ),
         'fork': (
             'analysis.fork:fork',
             'Repeat a recorded run up to a moment, and go on in a changed world.',
         ),
         'experiment': (
-            'run.commands:experiment',
+            'run.experiment:experiment',
             'Confirm a cause by running the same scenes with and without it.',
         ),
     },
@@ -139,7 +139,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     'Recordings and tools': {
         'bag': ('bag.commands:bag_app', 'Inspect, check, repair and export bags.'),
         'doctor': (
-            'bag.doctor:doctor', 'Check this machine, or every file in a results folder.',
+            'doctor:doctor', 'Check this machine, or every file in a results folder.',
         ),
         'setup-messages': (
             'messages:setup_messages',
@@ -173,6 +173,14 @@ def added() -> list[Extension]:
     return [one for one in installed(COMMANDS) if not one.shipped and one.name not in OWN]
 
 
+def command_function(name: str) -> Any:
+    """The function of a command of this package, or its group; its module is imported now."""
+    target = OWN[name][0]
+    where = f'taxinet_ros.cli.{target}' if target else SHIPPED[COMMANDS][name]
+    module, _, attribute = where.partition(':')
+    return getattr(importlib.import_module(module), attribute)
+
+
 def load_command(name: str) -> Any:
     """Import a command and build its parser.
 
@@ -181,10 +189,7 @@ def load_command(name: str) -> Any:
         UsageError: it is of another package, and cannot be called.
     """
     if name in OWN:
-        target = OWN[name][0]
-        where = f'taxinet_ros.cli.{target}' if target else SHIPPED[COMMANDS][name]
-        module, _, attribute = where.partition(':')
-        return _parser(name, getattr(importlib.import_module(module), attribute))
+        return _parser(name, command_function(name))
     for extension in added():
         if extension.name == name:
             return load_extension(extension)

@@ -7,9 +7,11 @@ Typer asks the functions here with the beginning of a word. bash alone splits wo
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import re
 from collections.abc import Callable, Iterable, Mapping, MutableMapping
+from operator import attrgetter
 
 import typer
 
@@ -30,27 +32,6 @@ _BASH = 'complete_bash'
 _BREAKS = re.compile(r'[=:]+')
 _AFTER_BREAK = re.compile(r'.*[=:]', re.DOTALL)
 Completer = Callable[[str], list[str]]
-
-
-def complete_program(incomplete: str) -> list[str]:
-    """Shipped programs that begin so; the shell itself completes names of files."""
-    from taxinet_ros.scenes.programs import known_programs
-
-    return _begin(known_programs(), incomplete)
-
-
-def complete_experiment(incomplete: str) -> list[str]:
-    """Shipped experiments that begin so."""
-    from taxinet_ros.trials.experiment import known_experiments
-
-    return _begin(known_experiments(), incomplete)
-
-
-def complete_odd(incomplete: str) -> list[str]:
-    """Shipped operational design domains that begin so."""
-    from taxinet_ros.trials.odd.odd_file import known_odds
-
-    return _begin(known_odds(), incomplete)
 
 
 def complete_perception(incomplete: str) -> list[str]:
@@ -75,13 +56,6 @@ def complete_sampler_option(context: typer.Context, incomplete: str) -> list[str
     found = [f'{key}=' for kind in kinds for key in kind.options]
     found += [f'rule={rule}' for kind in kinds for rule in kind.rules]
     return _begin(dict.fromkeys(found), incomplete)
-
-
-def complete_aircraft(incomplete: str) -> list[str]:
-    """Shipped aircraft that begin so."""
-    from taxinet_ros.core.rig.catalogue import AIRCRAFT
-
-    return _begin(AIRCRAFT.shipped, incomplete)
 
 
 def complete_signal(incomplete: str) -> list[str]:
@@ -137,6 +111,25 @@ def registered(kind: str) -> Completer:
     return lambda incomplete: _begin(names(kind), incomplete)
 
 
+def shipped(names_of: str) -> Completer:
+    """Completion of shipped documents; the shell itself completes names of files.
+
+    Args:
+        names_of: module below the package, and what in it has, or says, their names.
+    """
+    module, _, attribute = names_of.partition(':')
+
+    def complete(incomplete: str) -> list[str]:
+        found = attrgetter(attribute)(importlib.import_module(f'taxinet_ros.{module}'))
+        return _begin(found() if callable(found) else found, incomplete)
+
+    return complete
+
+
+complete_program = shipped('scenes.programs:known_programs')
+complete_experiment = shipped('trials.experiment:known_experiments')
+complete_odd = shipped('trials.odd.odd_file:known_odds')
+complete_aircraft = shipped('core.rig.catalogue:AIRCRAFT.shipped')
 complete_sampler = registered(SAMPLERS)
 complete_controller = registered(CONTROLLERS)
 complete_world = registered(WORLDS)

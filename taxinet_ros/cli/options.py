@@ -133,20 +133,12 @@ def campaign_of(context: typer.Context, **own: Any) -> CampaignOptions:
     return make_options(**{**given, 'out': Path(given['out']) if 'out' in given else None})
 
 
-ScenarioArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file',
-        autocompletion=complete_program,
-    ),
-]
-SceneArgument = Annotated[
-    str | None,
-    typer.Argument(
-        metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file',
-        autocompletion=complete_program,
-    ),
-]
+_PROGRAM = typer.Argument(
+    metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file',
+    autocompletion=complete_program,
+)
+ScenarioArgument = Annotated[str, _PROGRAM]
+SceneArgument = Annotated[str | None, _PROGRAM]
 FromOption = Annotated[
     Path | None,
     typer.Option(

@@ -23,7 +23,7 @@ from rich.progress import (
 
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words
-from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.summary import Summary, row_line
 
@@ -83,18 +83,33 @@ def stage_bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextlib.contextmanager
-def trial_bar(
-    console: Console, stage: str, total: int
-) -> Iterator[tuple[Callable[[], None], Callable[[], bool]]]:
-    """Return a function to call after each trial, and whether Ctrl-C has asked to start no more."""
-    asked: list[bool] = []
+def count_bar(console: Console, stage: str, total: int) -> Iterator[Callable[[], None]]:
+    """Return a function to call after each of a number of equal pieces of work."""
     done = itertools.count(1)
-    with stage_bars(console) as show, interrupts(lambda: asked.append(True)):
+    with stage_bars(console) as show:
         def count() -> None:
             number = next(done)
             show(stage, number, max(total, number))
 
-        yield count, lambda: bool(asked)
+        yield count
+
+
+@contextlib.contextmanager
+def trial_bar(
+    console: Console, stage: str, total: int
+) -> Iterator[tuple[Callable[[], None], Callable[[], bool]]]:
+    """Return a function to call after each trial, and whether Ctrl-C has asked to start no more.
+
+    Raises:
+        ToldInterrupt: trials are left, and it is told so.
+    """
+    asked: list[bool] = []
+    try:
+        with count_bar(console, stage, total) as count, interrupts(lambda: asked.append(True)):
+            yield count, lambda: bool(asked)
+    except KeyboardInterrupt:
+        console.print('interrupted; the same command goes on')
+        raise ToldInterrupt from None
 
 
 class Heartbeat:

@@ -56,6 +56,8 @@ CHANGEABLE = (
 )
 """Scenario keys that may change during a run. Others are its start, what stands on the ground and
 what carries the camera, or delays of answers that are under way."""
+MOVES = ('distance_m', 'cte_m', 'heading_deg', 'speed_mps')
+"""Offsets by which the aircraft can be placed anew."""
 _VERSION = 1
 
 
@@ -291,4 +293,3 @@ def _check_same(who: str, seq: int, told: object, answer: object) -> None:
             'repeated, as by another version, on another processor, or by code that is not '
             'reproducible'
         )
-

@@ -1,18 +1,21 @@
-"""Strict parsing of JSON and YAML from untrusted texts into plain values, with type checks.
+"""Plain values of JSON and YAML: results as JSON, and strict parsing of untrusted texts.
 
-Rejects texts that would grow when parsed (YAML aliases and merge keys), are nested deeper than
-Python's stack, or would take minutes. Any error in a user's file gives one line with file, key and
-expected value.
+Parsing rejects texts that would grow when parsed (YAML aliases and merge keys), are nested deeper
+than Python's stack, or would take minutes. Any error in a user's file gives one line with file, key
+and expected value.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import enum
 import json
+import math
 import re
 import reprlib
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeGuard, cast
+from typing import Any, TypeGuard, cast, overload
 
 import yaml
 
@@ -30,6 +33,38 @@ YAML_TROUBLES = (
     RecursionError,
 )
 """Exceptions of PyYAML: its own, and those of its constructors."""
+
+
+@overload
+def plain(value: Mapping[str, Any]) -> dict[str, Any]: ...
+@overload
+def plain(value: object) -> Any: ...
+def plain(value: Any) -> Any:
+    """A result as values of JSON.
+
+    Dataclasses and named tuples are objects; an enum is its value, a path its text; a number that
+    is not finite is null.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {one.name: getattr(value, one.name) for one in dataclasses.fields(value)}
+    elif hasattr(value, '_asdict'):
+        value = value._asdict()
+    elif hasattr(value, 'tolist'):  # of numpy
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, enum.Enum):
+        value = value.value
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def json_text(value: Any) -> str:
+    """A result as an indented JSON document, by :func:`plain`."""
+    return json.dumps(plain(value), indent=2, allow_nan=False)
 
 
 def load_json(data: bytes | str) -> Any:

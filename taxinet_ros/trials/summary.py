@@ -22,6 +22,7 @@ from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, DEFAULT_CAMERA
 from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.registry import KMWH
 from taxinet_ros.trials.options import LOOP, CampaignOptions
 from taxinet_ros.trials.rates import (
@@ -331,17 +332,14 @@ def summary_json(found: Summary, options: CampaignOptions, planned: Planned) -> 
     failed, row = failure_rate(found.verdicts, planned), found.worst
     rate, worst = None, None
     if row is not None and row.headline is not None:
-        worst = {
-            'run_id': row.run_id, 'outcome': row.outcome.value,
-            'rho': [_finite(end) for end in row.headline],
-        }
+        worst = {'run_id': row.run_id, 'outcome': row.outcome.value, 'rho': row.headline}
     if failed.rate is not None:
         value, low, high = failed.rate.other
         rate = {
             'value': value, 'low': low, 'high': high, 'confidence': 0.95,
             'anytime': failed.anytime,
         }
-    return {
+    return plain({
         'program': options.program, 'seed': options.seed, 'perception': options.perception,
         'controller': options.controller, 'runs': len(found),
         'outcomes': {
@@ -349,12 +347,8 @@ def summary_json(found: Summary, options: CampaignOptions, planned: Planned) -> 
         },
         'off_runway': found.off_runway,
         'satisfied': rate, 'why_no_rate': failed.why_not or None,
-        'worst': worst, 'out': str(options.out),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+        'worst': worst, 'out': options.out,
+    })
 
 
 def _satisfied_words(failed: ProgramRate) -> str:

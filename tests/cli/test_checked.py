@@ -16,12 +16,13 @@ from taxinet_ros.analysis import fault_localisation
 from taxinet_ros.analysis.campaign import folder as analysis_folder
 from taxinet_ros.bag import layout
 from taxinet_ros.bag.check import compare
-from taxinet_ros.cli.checked import RECORD_NAMES, check_output, outputs
+from taxinet_ros.cli.checked import outputs
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.cli.study import improve
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.assurance import judge
 from taxinet_ros.extras.evidence import evidence
+from taxinet_ros.files.outputs import RECORD_NAMES, check_output
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.training.data import dataset_folder, image_folder, unfinished

@@ -12,7 +12,7 @@ import pytest
 import taxinet_ros
 import taxinet_ros.nodes
 from taxinet_ros.cli.main import main
-from taxinet_ros.cli.system import Check, system_checks
+from taxinet_ros.machine import Check, system_checks
 
 TAXINET = Path(sys.executable).with_name('taxinet')
 
@@ -51,8 +51,8 @@ def test_given_something_that_cannot_be_imported_then_its_line_says_how_to_mend_
     module, name, words, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.setattr('taxinet_ros.cli.system._CHECKS', {
-        name: getattr(__import__('taxinet_ros.cli.system', fromlist=['_']), {
+    monkeypatch.setattr('taxinet_ros.machine._CHECKS', {
+        name: getattr(__import__('taxinet_ros.machine', fromlist=['_']), {
             'ros': '_ros', 'messages': '_messages', 'camera': '_compiled',
         }[name]),
     })
@@ -96,8 +96,8 @@ NO_RANGE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'NEAR'}
 ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'}
 RECORDER = Path(sys.prefix, 'lib', 'taxinet_ros', 'recorder')
 CHECK_ROS = (
-    'from taxinet_ros.cli import system; system._CHECKS = {"ros": system._ros}; '
-    'raise SystemExit("".join(one.state + one.found for one in system.system_checks()))'
+    'from taxinet_ros import machine; machine._CHECKS = {"ros": machine._ros}; '
+    'raise SystemExit("".join(one.state + one.found for one in machine.system_checks()))'
 )
 
 

@@ -1,11 +1,17 @@
 from __future__ import annotations
 
+import enum
+import json
+import math
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import Section, load_yaml, parse_yaml
+from taxinet_ros.files.plain_values import Section, json_text, load_yaml, parse_yaml
 
 FILE = Path('a.yaml')
 
@@ -76,3 +82,28 @@ def test_given_yaml_of_a_bag_when_aliases_are_not_allowed_then_it_is_refused() -
     assert load_yaml('a: &one [1]\nb: *one') == {'a': [1], 'b': [1]}
     with pytest.raises(ValueError, match='not YAML of plain values'):
         load_yaml('a: &one [1]\nb: *one', aliases=False)
+
+
+def test_a_result_becomes_plain_values_of_json():
+    class Word(enum.StrEnum):
+        ONE = 'one'
+
+    class Pair(NamedTuple):
+        low: float
+        high: float
+
+    @dataclass
+    class Result:
+        pair: Pair
+        word: Word
+        path: Path
+        numbers: tuple[float, ...]
+
+    found = Result(Pair(0.5, math.inf), Word.ONE, Path('a/b'), (math.nan, np.float64(2.0)))
+    assert json.loads(json_text({'found': found, 'all': np.array([1, 2])})) == {
+        'found': {
+            'pair': {'low': 0.5, 'high': None}, 'word': 'one', 'path': 'a/b',
+            'numbers': [None, 2.0],
+        },
+        'all': [1, 2],
+    }

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from taxinet_process import taxinet
 
-from taxinet_ros.cli.study.case_study import report_case_study, run_case_study
+from taxinet_ros.cli.study.case_study import case_study
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
+from taxinet_ros.study.report.report import report_case_study
 from taxinet_ros.study.stages.record import read_options
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.row import RunRow
@@ -83,7 +84,7 @@ def test_given_bad_input_then_it_is_refused_and_nothing_is_written(
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=complaint):
-        run_case_study(**options)
+        case_study(None, **options)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -100,16 +101,16 @@ def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
     monkeypatch.setattr(
         'taxinet_ros.cli.study.case_study.call_stage', lambda stage, resume: 3)
     out = tmp_path / 'study'
-    assert run_case_study(out=out, scale=0.02) == 3
+    assert case_study(None, out=out, scale=0.02) == 3
     begun = read_options(out, 'case-study', '')
     assert (begun['runs'], begun['images']) == (80, 240)
-    assert run_case_study(out=out, resume=True, runs=90) == 3
+    assert case_study(None, out=out, resume=True, runs=90) == 3
     begun = read_options(out, 'case-study', '')
     assert (begun['runs'], begun['images']) == (90, 240)
     printed = capsys.readouterr().out
     assert 'stopped at train-original: exit code 3; once it is mended, --resume' in printed
     with pytest.raises(UsageError, match=r'study: already exists'):
-        run_case_study(out=out)
+        case_study(None, out=out)
 
 
 @pytest.mark.ros

@@ -96,7 +96,7 @@ def test_an_estimate_that_ends_amid_its_draws_has_no_interval_and_says_how_many_
 ):
     out = tmp_path / 'c'
     end = run_until(lambda number: number >= cut, broken=broken)
-    monkeypatch.setattr('taxinet_ros.cli.run.estimate.run_on_workers', end)
+    monkeypatch.setattr('taxinet_ros.cli.run.campaign.run_on_workers', end)
     assert run_estimate(options(out), quiet=True, as_json=True) == code
     said = capsys.readouterr()
     why = f'{line}: no interval before all have; the same with --resume continues it'
@@ -109,7 +109,7 @@ def test_fewer_runs_than_draws_have_no_interval_and_name_the_number_that_suffice
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(
-        'taxinet_ros.cli.run.estimate.run_on_workers', run_until(lambda number: False))
+        'taxinet_ros.cli.run.campaign.run_on_workers', run_until(lambda number: False))
     assert run_estimate(options(tmp_path / 'c', runs=70), quiet=True, as_json=False) == 3
     assert capsys.readouterr().out.splitlines()[1:] == [
         '70 of 150 planned draws have ended: no interval before all have; the same with --resume '
@@ -144,7 +144,7 @@ def test_after_an_unclear_estimate_a_new_one_is_called_another_look(
         for _ in toy.answers(search, 1, toy.first, flat if plain else rarely):
             pass
 
-    monkeypatch.setattr('taxinet_ros.cli.run.estimate.run_on_workers', run)
+    monkeypatch.setattr('taxinet_ros.cli.run.campaign.run_on_workers', run)
     assert run_estimate(options(tmp_path / 'c'), quiet=True, as_json=False) == 3
     said = capsys.readouterr().out.splitlines()[-1]
     new = (

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from taxinet_ros.cli.run import campaign as campaign_command
-from taxinet_ros.cli.run import search as command
+from taxinet_ros.cli.run import experiment as command
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -232,8 +232,9 @@ class Bench:
         for _ in toy.answers(search, 2, judge=judge):
             pass
 
-    def report(self, *arguments: object, **others: object) -> None:
+    def report(self, *_: object) -> tuple[dict[str, object], list[str]]:
         self.reports += 1
+        return {}, []
 
 
 @pytest.fixture
@@ -242,7 +243,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
     monkeypatch.setattr(campaign_command, 'run_search', bench.run_search)
     monkeypatch.setattr(campaign_command, 'WorkerPool', lambda *arguments: contextlib.nullcontext())
-    monkeypatch.setattr(command, '_report', bench.report)
+    monkeypatch.setattr(command, 'write_experiment', bench.report)
     return bench
 
 

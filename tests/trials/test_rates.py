@@ -12,7 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from taxinet_ros.analysis.gate import GateOptions, Verdict, bounds, further_runs, gate_result
+from taxinet_ros.analysis.gate.criteria import (
+    GateOptions,
+    Verdict,
+    bounds,
+    further_runs,
+    gate_result,
+)
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.files.plain_values import plain
 
 Drive = Callable[[int, Sequence[str]], Mapping[str, bool | None]]
 """Runs the network at a place of the order in some scenes: whether each is satisfied, or None."""
@@ -157,7 +157,7 @@ def _listed(names: Sequence[str], most: int = 10) -> str:
 
 def bisection_json(found: Bisection) -> dict[str, Any]:
     """Everything as plain values."""
-    return plain_values({
+    return plain({
         'networks': list(found.networks), 'every': found.every, 'runs': found.runs,
         'broken': {
             found.networks[place]: list(found.broken_by(place))

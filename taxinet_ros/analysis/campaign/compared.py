@@ -9,6 +9,7 @@ other would then have fewer by chance.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.campaign.findings import common_scenes, differing_settings
+from taxinet_ros.analysis.campaign.folder import csv_text
 from taxinet_ros.analysis.causes.causes import LEAST_FAILURES, Causes, find_causes
 from taxinet_ros.analysis.experiment.pairs import (
     PairedRates,
@@ -26,6 +28,7 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_rates,
     paired_shift,
 )
+from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import (
     Cell,
     Column,
@@ -36,13 +39,20 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.text import fill_report
-from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.analysis.runs.campaign import CampaignRuns
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_atomically, write_parquet
+from taxinet_ros.files.plain_values import json_text, plain
+from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.trials.options import DEFAULT_ROOT
+from taxinet_ros.trials.past_runs.shared_scenes import SceneSet, SharedTrials
 
 TEXT = Path(__file__).with_name('compared.j2')
+JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
+BEFORE, AFTER = 'before.parquet', 'after.parquet'
+_OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, 'compared.png', 'bisect.json'}
 _SIGNIFICANT = 0.05
 _SHOWN = ('time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg')
 _MOST_SHOWN = 15.0
@@ -241,7 +251,7 @@ def compared_json(found: Compared) -> dict[str, Any]:
     report = compared_report(found)
     (table,) = report.sections[0].tables
     names = [column.name for column in table.columns]
-    return plain_values({
+    return plain({
         'before': found.before.label, 'after': found.after.label, 'spec': found.after.spec,
         'scenes': rates.pairs, 'unpaired': found.unpaired,
         'uncounted': found.uncounted, 'tested': found.tested,
@@ -263,3 +273,60 @@ def compared_json(found: Compared) -> dict[str, Any]:
         'differing': list(found.differing), 'sentences': list(report.summary),
         'made_on': dict(provenance()),
     })
+
+
+def compare_folder(out: Path | None, words: Sequence[str]) -> Path:
+    """The folder of a comparison.
+
+    Args:
+        out: as named; None for one below ``bags/``.
+        words: what is compared.
+
+    Raises:
+        UsageError: it contains something else.
+    """
+    names = '-'.join(Path(word.rstrip('/')).stem.replace(':', '-') for word in words)
+    out = out or DEFAULT_ROOT / f'compare-{names}'
+    there = {path.name for path in out.iterdir()} if out.is_dir() else set()
+    # Beside a record may be its journal, its lock and a damaged one.
+    if {name for name in there if RECORD_NAME not in name} - _OURS:
+        raise UsageError(f'--out {out}: contains something else; choose another folder')
+    return out
+
+
+def driven_campaigns(
+    scenes: SceneSet, networks: Sequence[str], out: Path, workers: int,
+    on_trial: Callable[[], None], interrupted: Callable[[], bool],
+) -> list[CampaignRuns]:
+    """Drive two networks through the same scenes, and write their tables.
+
+    Args:
+        scenes: the scenes.
+        networks: words or files.
+        out: folder; finished runs in it are kept.
+        workers: number of processes.
+        on_trial: called after each run.
+        interrupted: whether to start no more runs.
+
+    Raises:
+        KeyboardInterrupt: interrupted with runs left.
+    """
+    tables: list[CampaignRuns] = []
+    with SharedTrials(scenes, out) as trials:
+        for network, name in zip(networks, (BEFORE, AFTER), strict=True):
+            trials.drive(network, workers=workers, on_trial=on_trial, interrupted=interrupted)
+            frame = trials.table(network)
+            write_parquet(out / name, frame)
+            tables.append(runs_of(frame, out / name))
+    return tables
+
+
+def write_compared(found: Compared, out: Path) -> dict[str, Any]:
+    """Write page, picture, table and JSON; return the values of the JSON."""
+    report, values = compared_report(found), compared_json(found)
+    for section in report.sections:
+        for table in section.tables:
+            write_atomically(out / CSV_NAME, csv_text(table))
+    write_atomically(out / JSON_NAME, json_text(values) + '\n')
+    write_report(report, out / PAGE_NAME)
+    return values

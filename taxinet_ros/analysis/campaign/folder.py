@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 from collections.abc import Callable
@@ -11,21 +10,19 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from taxinet_ros.analysis.campaign.findings import BaselineComparison, Findings, explained_runs
-from taxinet_ros.analysis.causes.causes import Cause, FoundRate
+from taxinet_ros.analysis.causes.causes import Cause
 from taxinet_ros.analysis.causes.program import (
     cause_program,
     program_name,
     why_no_program,
     write_scenes_program,
 )
-from taxinet_ros.analysis.causes.region import Region
 from taxinet_ros.analysis.report.parts import Report, Table
-from taxinet_ros.analysis.report.pictures import write_pictures
-from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
+from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically, make_folder, write_atomically, write_parquet
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME
 
@@ -39,7 +36,7 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
         findings: findings of an analysis.
         report: report on them.
     """
-    values = {
+    return plain({
         'schema': SCHEMA, 'version': VERSION, 'title': report.title, 'facts': dict(report.facts),
         'summary': list(report.summary), 'alpha': findings.alpha,
         'made_on': dict(provenance()),
@@ -51,10 +48,10 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
         'causes': [_cause(one) for one in findings.causes.found],
         'causes_why_not': findings.causes.why_not,
         'causes_searched': findings.causes.searched, 'scenes_again': findings.causes.again,
-        'outside_causes': _rate(findings.causes.rest), 'candidates': findings.causes.candidates,
+        'outside_causes': findings.causes.rest, 'candidates': findings.causes.candidates,
         'clusters': [
             {'number': one.number, 'failures': one.failures, 'share': one.share,
-             'words': one.words(), 'region': _region(one.common), 'typical_run': one.typical,
+             'words': one.words(), 'region': one.common.parts, 'typical_run': one.typical,
              'median_rho': one.median_rho} for one in findings.clusters.found
         ],
         'silhouette': findings.clusters.silhouette if findings.clusters.found else None,
@@ -64,57 +61,44 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
         'tree': None if findings.tree is None else {
             'depth': findings.tree.depth, 'accuracy': findings.tree.accuracy,
             'guess': findings.tree.guess,
-            'rules': [{'words': rule.region.words(), 'region': _region(rule.region),
-                       'rate': _rate(rule.rate)} for rule in findings.tree.rules],
+            'rules': [{'words': rule.region.words(), 'region': rule.region.parts,
+                       'rate': rule.rate} for rule in findings.tree.rules],
         },
         'baselines': [_baseline(one) for one in findings.comparisons],
-        'runs_to_look_at': {run: str(folder) for run, folder in report.runs.items()},
-    }
-    return plain_values(values)
+        'runs_to_look_at': report.runs,
+    })
 
 
 def _campaign(runs: CampaignRuns) -> dict[str, Any]:
-    off = runs.off_runway()
     return {
-        'label': runs.label, 'path': str(runs.path), 'program': runs.program,
+        'label': runs.label, 'path': runs.path, 'program': runs.program,
         'perception': runs.perception, 'sampler': runs.sampler, 'spec': runs.spec,
         'stacks': [dict(stack) for stack in runs.stacks],
         'weighting': runs.weighting.value, 'judged': len(runs.frame),
         'without_verdict': dict(runs.others), 'undecided': runs.undecided,
         'uncounted': runs.uncounted, 'rate_bounds': list(runs.bounds),
         'stopped_early': runs.stopped, 'warnings': list(runs.warnings),
-        'failed': _rate(runs.rate()),
-        'left_runway': None if off is None else _rate(off),
+        'failed': runs.rate(), 'left_runway': runs.off_runway(),
     }
 
 
 def _baseline(one: BaselineComparison) -> dict[str, Any]:
     return {
-        **_campaign(one.baseline), 'difference': one.difference._asdict(),
-        'paired': one.paired, 'differing': list(one.differing),
-        'changed': None if one.changed is None else one.changed._asdict(),
-        'in_causes': [_rate(rate) for rate in one.in_causes],
-        'outside_causes': _rate(one.off_causes),
+        **_campaign(one.baseline), 'difference': one.difference, 'paired': one.paired,
+        'differing': one.differing, 'changed': one.changed, 'in_causes': one.in_causes,
+        'outside_causes': one.off_causes,
     }
 
 
 def _cause(cause: Cause) -> dict[str, Any]:
     return {
         'rank': cause.rank, 'words': cause.region.words(), 'sentence': cause.sentence(),
-        'region': _region(cause.region), 'inside': _rate(cause.inside),
-        'outside': _rate(cause.outside), 'all_runs': _rate(cause.whole),
+        'region': cause.region.parts, 'inside': cause.inside,
+        'outside': cause.outside, 'all_runs': cause.whole,
         'share': cause.share, 'explained': cause.added,
         'associated': dict(zip(('value', 'low', 'high'), cause.associated, strict=True)),
         'p': cause.p, 'p_is_bound': cause.p_is_bound,
     }
-
-
-def _region(region: Region) -> list[dict[str, Any]]:
-    return [dataclasses.asdict(part) for part in region.parts]
-
-
-def _rate(rate: GroupRate | FoundRate) -> dict[str, Any]:
-    return rate._asdict()
 
 
 JSON_NAME, PAGE_NAME = 'analysis.json', 'report.html'
@@ -154,7 +138,7 @@ def write_analysis(
         UsageError: the folder cannot be created.
         OSError: a file cannot be written.
     """
-    from taxinet_ros.analysis.report.page import write_report_page
+    from taxinet_ros.analysis.report.page import write_report
 
     _begin(out)
     others = _files(out)
@@ -165,8 +149,7 @@ def write_analysis(
     for section in report.sections:
         for table in section.tables:
             write_atomically(out / f'{table.name}.csv', csv_text(table))
-    write_pictures(report, out, on_progress)
-    write_report_page(report, out / PAGE_NAME, on_progress=on_progress)
+    write_report(report, out / PAGE_NAME, on_progress=on_progress)
     files = sorted({*_files(out) - others, JSON_NAME})
     values = {**findings_values(findings, report), 'files': files}
     write_sealed(out / JSON_NAME, values, [out / name for name in files if name in _TABLES])

@@ -12,8 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from taxinet_ros.analysis.experiment.arms import ArmComparison, PairedArms, rho_of
+from taxinet_ros.analysis.experiment.arms import ArmComparison, PairedArms, pairs_frame, rho_of
 from taxinet_ros.analysis.experiment.pairs import ConfidenceInterval, PairedRates, PairedShift
+from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import (
     Cell,
     Column,
@@ -24,14 +25,16 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.text import fill_report
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import SIGNALS, parse_spec
 from taxinet_ros.core.mtl.lint import rho_unit
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY, TIME_OF_DAY, clock_words
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.trials.experiment import Experiment
+from taxinet_ros.files.atomic import write_parquet
+from taxinet_ros.files.plain_values import plain
+from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.trials.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME, Experiment
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.summary import Summary
 
@@ -234,7 +237,7 @@ def experiment_report(found: PairedArms) -> Report:
 def experiment_json(found: PairedArms) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
     experiment, report = found.experiment, experiment_report(found)
-    return plain_values({
+    return plain({
         'experiment': experiment.name, 'facts': dict(report.facts),
         'compare_to': experiment.compare_to, 'over': found.over,
         'made_on': dict(provenance()),
@@ -247,6 +250,21 @@ def experiment_json(found: PairedArms) -> dict[str, Any]:
         'comparisons': [_comparison_json(one) for one in found.comparisons],
         'sentences': list(report.sentences),
     })
+
+
+def write_experiment(found: PairedArms, out: Path) -> tuple[dict[str, Any], list[str]]:
+    """Write page, pictures, pairs and JSON into the experiment's folder.
+
+    Returns:
+        The values of the JSON, and the lines of the terminal.
+    """
+    values, report = experiment_json(found), experiment_report(found)
+    pairs = out / PAIRS_NAME
+    write_parquet(pairs, pairs_frame(found))
+    write_sealed(out / JSON_NAME, values, [pairs])
+    pictures = write_report(report, out / PAGE_NAME)
+    names = [*(path.name for path in pictures), PAIRS_NAME, JSON_NAME]
+    return values, [*report.sentences, f'written: {out / PAGE_NAME}, {", ".join(names)}']
 
 
 def _greatest_change(

@@ -22,15 +22,18 @@ from taxinet_ros.analysis.explain.pictures import (
     scene_picture,
 )
 from taxinet_ros.analysis.explain.track import Moment
+from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import Cell, Column, Picture, Report, Table
 from taxinet_ros.analysis.report.text import environment, fill_report
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.world import world_and_camera
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import json_text, plain
 from taxinet_ros.registry import KMWH
 
+JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
 TEXT = Path(__file__).with_name('page.j2')
 environment(TEXT.parent).filters.update(
     error=error_words, effect=effect_words, moment=moment_words, along=along_words,
@@ -73,11 +76,19 @@ def _figures(found: Explanation) -> dict[str, Sequence[Picture | Table]]:
     return figures
 
 
+def write_explanation(found: Explanation, out: Path) -> tuple[Path, dict[str, Any]]:
+    """Write images, JSON and page; return the page's path and the values of the JSON."""
+    values = explain_json(found)
+    write_atomically(out / JSON_NAME, json_text(values) + '\n')
+    write_report(explain_report(found), out / PAGE_NAME)
+    return out / PAGE_NAME, values
+
+
 def explain_json(found: Explanation) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
     cte_m, he_rad = found.track.greatest_change
     blamed = found.blamed
-    return plain_values({
+    return plain({
         'run_id': found.run.request.run_id, 'perception': found.perception,
         'fingerprint': found.fingerprint, 'recorded_perception': found.run.perception,
         'made_on': dict(provenance()),

@@ -12,9 +12,10 @@ coverage measurement concepts and applications, IWCT 2013); beyond cells, there 
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +24,22 @@ import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.analysis.odd.dispersion import Hole, largest_hole
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, group_rate
-from taxinet_ros.core.scenario_fields import DURATION, SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES, DURATION, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import plain
+from taxinet_ros.scenes.programs import SUFFIX, known_programs
 from taxinet_ros.trials.odd.odd_file import OUTSIDE, Combination, Odd
 from taxinet_ros.trials.rates import rate
+from taxinet_ros.trials.run_command import RunSettings
 
 Ints = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-STRENGTHS = (1, 2, 3)
+NAMES = {1: 'cells', 2: 'pairs', 3: 'triples'}
+"""What combinations of so many cells are called."""
+STRENGTHS = tuple(NAMES)
 MOST_GAPS = 10
 _SAME = [field.key for field in SCENARIO_FIELDS]
 
@@ -445,18 +452,17 @@ def coverage_json(found: OddCoverage) -> dict[str, Any]:
     odd = found.odd
 
     def rated(one: GroupRate) -> dict[str, Any]:
-        values = {'rate': one.rate, 'low': one.low, 'high': one.high}
         return {
             'runs': one.runs, 'failures': one.failures,
             'drawn': 0 if math.isnan(one.effective) else int(one.effective),
-            **{key: None if math.isnan(value) else value for key, value in values.items()},
+            'rate': one.rate, 'low': one.low, 'high': one.high,
         }
 
-    return {
+    return plain({
         'odd': {'name': odd.name, 'source': odd.source, 'sha256': odd.digest},
-        'campaigns': list(found.campaigns), 'spec': found.spec, 'judged': found.judged,
-        'inside': rated(found.rate), 'outside': dict(found.outside),
-        'unjudged': dict(found.unjudged), 'limit': found.limit,
+        'campaigns': found.campaigns, 'spec': found.spec, 'judged': found.judged,
+        'inside': rated(found.rate), 'outside': found.outside,
+        'unjudged': found.unjudged, 'limit': found.limit,
         'parameters': [
             {
                 'key': one.key, 'unit': one.field.unit, 'source': one.source,
@@ -482,7 +488,44 @@ def coverage_json(found: OddCoverage) -> dict[str, Any]:
             'at_least': found.hole.radius, 'least_possible': found.hole.least,
             'hole': found.hole_words(),
         },
-        'never_varied': list(found.fixed), 'not_in_odd': list(found.unmentioned),
-        'cautions': list(found.cautions),
-    }
+        'never_varied': found.fixed, 'not_in_odd': found.unmentioned,
+        'cautions': found.cautions,
+    })
 
+
+def coverage_lines(
+    found: OddCoverage, name: str, runs: Sequence[CampaignRuns]
+) -> tuple[str, str]:
+    """What the command prints before and after the table of cells.
+
+    Args:
+        found: the coverage.
+        name: what the user calls the ODD.
+        runs: the campaigns.
+    """
+    path = Path(__file__).with_suffix('.j2')
+    thin = next((one for one in found.strengths if one.covered < one.feasible), None)
+    command = '' if thin is None else _falsify_words(
+        found.odd, runs,
+        ('--sampler', 'coverage', '--odd', name, '--sampler-option', f'strength={thin.t}'),
+    )
+    return macro_text(path, 'before', f=found), macro_text(
+        path, 'after', f=found, fields=BY_KEY, names=NAMES, command=command)
+
+
+def _falsify_words(odd: Odd, runs: Sequence[CampaignRuns], words: Sequence[str]) -> str:
+    """The command that searches further as one campaign of a shipped program did; else in words."""
+    one, program = runs[0], runs[0].program.removesuffix(SUFFIX)
+    if len(runs) == 1 and one.facts and one.perception and program in known_programs():
+        settings = RunSettings.from_facts(one.facts)
+        # What was set of the ODD's own parameters is what leaves gaps.
+        values = {
+            key: value for key, value in settings.values.items()
+            if key not in [parameter.key for parameter in odd.parameters]
+        }
+        settings = replace(settings, perception=one.perception, values=values)
+        if not settings.timing.free and all(
+            str(values[key]) in CATALOGUES[key].shipped for key in set(CATALOGUES) & set(values)
+        ):
+            return settings.command(program, *words, verb='falsify')
+    return f'taxinet falsify PROGRAM {shlex.join(words)}, with the other options of these runs'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.topics import MTL_MONITOR, PERCEPTION, STEERING_CONTROLLER
 
 Values = NDArray[np.float64]
 
@@ -34,6 +38,12 @@ class Quantity:
     scale: float = 1.0
     truth: str = ''
 
+_COLUMNS = {
+    PERCEPTION: ('est_cte_m', 'est_he_rad'),
+    STEERING_CONTROLLER: ('steering_rad', 'speed_cmd_mps'),
+    MTL_MONITOR: ('rho_lower.', 'rho_upper.'),
+}
+"""Columns of a run's trace that a node fills, by its name."""
 _KNOWN = (
     Quantity(column='est_cte_m', label='cross-track estimate', unit='m', truth='cte_m'),
     Quantity(
@@ -110,6 +120,16 @@ def difference(
         mean=float(away[both].mean()) if both.any() else 0.0,
         greatest=float(away.max(initial=0.0)),
     )
+
+
+def differences(
+    node: str, trace: Mapping[str, NDArray[np.generic]], answers: Mapping[str, Values]
+) -> list[Difference]:
+    """Compare all that a node answers; arguments as of :func:`difference`."""
+    return [
+        difference(quantity, trace, answers)
+        for quantity in quantities(trace, _COLUMNS.get(node, ()))
+    ]
 
 
 # Okabe-Ito colours; the replayed curve is also dashed, for greyscale prints.
@@ -192,3 +212,70 @@ def _draw_difference(axes: Axes, one: Difference, t_s: NDArray[np.float64]) -> N
 def _dots(values: NDArray[np.float64], size: int) -> dict[str, Any]:
     """Style that shows isolated values, which have no neighbour to join by a line."""
     return {'marker': 'o', 'markersize': size} if np.isfinite(values).sum() < _FEW else {}
+
+def within(one: Difference, allowed: Mapping[str, float]) -> bool:
+    """Whether a difference is within the tolerance; without one, it must be zero."""
+    most = allowed.get(one.quantity.column, 0.0)
+    return one.first_seq is None if most == 0 else one.greatest <= most
+
+
+def replay_lines(
+    found: Sequence[Difference], allowed: Mapping[str, float]
+) -> list[tuple[str, str]]:
+    """Lines of a table of differences, with their styles.
+
+    Args:
+        found: the differences.
+        allowed: greatest differences by column, in display units; of others 0.
+    """
+    heading = ('quantity', 'mean |Δ|', 'max |Δ|', 'allowed', 'equal steps', 'first other')
+    rows = [heading, *(_cells(one, allowed) for one in found)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    styles = ['bold', *('' if within(one, allowed) else 'red' for one in found)]
+    lines = (
+        f'{row[0]:<{widths[0]}}' + ''.join(
+            f'  {cell:>{width}}' for cell, width in zip(row[1:], widths[1:], strict=True))
+        for row in rows
+    )
+    return list(zip(lines, styles, strict=True))
+
+
+def _cells(one: Difference, allowed: Mapping[str, float]) -> tuple[str, ...]:
+
+    unit = f' {one.quantity.unit}' if one.quantity.unit else ''
+    most = allowed.get(one.quantity.column, 0.0)
+    first = '-' if one.first_seq is None else (
+        f'step {one.first_seq} ({one.first_seq * CONTROL_PERIOD_NS / 1e9:.1f} s)'
+    )
+    return (
+        one.quantity.label, f'{one.mean:.3g}{unit}', f'{one.greatest:.3g}{unit}',
+        f'{most:g}{unit}' if most else 'no bit', f'{one.equal_steps} of {len(one.recorded)}',
+        first,
+    )
+
+
+def conclusion(found: Sequence[Difference], *, equal: bool) -> str:
+    """What follows; ``equal``: all are within their tolerances."""
+    if all(one.first_seq is None for one in found):
+        return 'bit-identical'
+    return 'the same within the tolerance' if equal else 'different'
+
+
+def write_values(
+    found: Sequence[Difference], trace: Mapping[str, NDArray[np.generic]], path: Path
+) -> None:
+    """Write one row per step: recorded, replayed and true values, in display units."""
+    columns: dict[str, NDArray[np.generic]] = {'seq': trace['seq']}
+    for one in found:
+        quantity = one.quantity
+        name = quantity.label.replace(' ', '_').replace('-', '_')
+        suffix = f'_{quantity.unit.replace("/", "p")}' if quantity.unit else ''
+        columns[f'recorded_{name}{suffix}'] = one.recorded
+        columns[f'replayed_{name}{suffix}'] = one.replayed
+        if quantity.truth:
+            true = trace[quantity.truth].astype('float64') * quantity.scale
+            columns[f'true_{name.removesuffix("_estimate")}{suffix}'] = true
+    with path.open('w', newline='') as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))

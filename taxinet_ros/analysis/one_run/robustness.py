@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict
-from taxinet_ros.core.mtl import SIGNALS, Reading, ast, atoms, signal_names
+from taxinet_ros.bag.check.judge import JudgedBag
+from taxinet_ros.bag.run.judging import (
+    BagVerdict,
+    SpecVerdict,
+    judge_spec,
+    signals_of_specs,
+)
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.run.samples import run_samples
+from taxinet_ros.core.mtl import SIGNALS, Assumptions, Reading, ast, atoms, signal_names
 from taxinet_ros.core.mtl.margin import compile_margin
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
 
 # Okabe-Ito colours, distinguishable with all common colour vision deficiencies.
 _SIGNAL, _ALLOWED, _INTERVAL = '#0072B2', '#009E73', '#56B4E9'
@@ -29,6 +40,7 @@ _COLOURS = {BagVerdict.SATISFIED: _ALLOWED, BagVerdict.VIOLATED: _BROKEN,
 _HOLDS: dict[str, Any] = {'color': _ALLOWED, 'alpha': 0.13, 'linewidth': 0}
 _STILL_POSSIBLE: dict[str, Any] = {'color': _INTERVAL, 'alpha': 0.35, 'linewidth': 0}
 _MOMENT: dict[str, Any] = {'linewidth': 1.6, 'linestyle': (0, (4, 2))}
+_PICTURE = '.png'
 _MOST_ATOMS = 4
 """Maximum number of predicates drawn per formula; more would be too small to read."""
 
@@ -218,3 +230,77 @@ def _label(expr: ast.Expr) -> tuple[str, str]:
 
 def _short(text: str, most: int = 110) -> str:
     return text if len(text) <= most else f'{text[:most - 1]}…'
+
+
+def check_plot(plot: Path, bags: Sequence[Path]) -> None:
+    """Check that the pictures of bags can be written, and make their folder.
+
+    Raises:
+        UsageError: they cannot.
+    """
+    if plot.suffix == _PICTURE and len(bags) > 1:
+        raise UsageError(f'--plot {plot}: {len(bags)} bags given; name a folder')
+    if plot.suffix not in ('', _PICTURE):
+        raise UsageError(f'--plot {plot}: write NAME.png, or name a folder')
+    folder = plot.parent if plot.suffix else plot
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f'--plot {plot}: cannot be written: {error.strerror}') from error
+
+
+def check_one_run(plot: Path, judged: Sequence[JudgedBag]) -> None:
+    """Check that a picture is not of several runs.
+
+    Raises:
+        UsageError: it is.
+    """
+    if plot.suffix == _PICTURE and len(judged) > 1:
+        names = ', '.join(bag.run or bag.name for bag in judged)
+        raise UsageError(f'--plot {plot}: the bag holds {names}; name a folder, or one with --run')
+
+
+def draw_bag(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
+    """Draw the requirements of a run.
+
+    Args:
+        bag: the run.
+        vouched: the assumptions; None for the recorded ones.
+        plot: PNG file to write, or the folder for one.
+
+    Raises:
+        UsageError: it cannot be written.
+    """
+    specs = [one.spec for one in bag.verdicts]
+    runs = run_samples(open_recording(bag.path), signals_of_specs(specs))
+    samples = next(one for one in runs if one.run == bag.run)
+    judged = []
+    for spec in specs:
+        verdict, readings = judge_spec(samples, spec, vouched)
+        # If a topic it reads is missing, nothing more is known.
+        at = dict(zip(samples.seen_by(spec).stamps_ns, readings, strict=False))
+        known = accumulate(
+            (at.get(stamp) for stamp in samples.stamps_ns), lambda old, new: new or old,
+            initial=readings[0],
+        )
+        judged.append(JudgedSpec(verdict=verdict, readings=[*known][1:]))
+    path = plot if plot.suffix else plot / f'{_file_name(bag)}{_PICTURE}'
+    try:
+        robustness_picture(
+            samples.stamps_ns, samples.samples, judged, path, title=_title(bag),
+            end_s=bag.duration_s,
+        )
+    except OSError as error:
+        raise UsageError(f'--plot {path}: cannot be written: {error.strerror}') from error
+    return path
+
+
+def _file_name(bag: JudgedBag) -> str:
+    return re.sub(r'[^A-Za-z0-9_.-]+', '_', bag.name)
+
+
+def _title(bag: JudgedBag) -> str:
+    if bag.end_s >= bag.duration_s:
+        return bag.name
+    why = 'stopped early' if bag.stopped_early else 'incomplete'
+    return f'{bag.name}   ({why}: {bag.end_s:g} of {bag.duration_s:g} s)'

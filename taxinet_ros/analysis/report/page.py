@@ -18,7 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from taxinet_ros.analysis.report.parts import Report, Section
-from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
+from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture, write_pictures
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, read_run_view
@@ -44,6 +44,18 @@ class _Runs:
 
     views: Mapping[str, RunView]
     troubles: Mapping[str, str]
+
+
+def write_report(
+    report: Report, page: Path, *, on_progress: Callable[[str], None] = lambda words: None
+) -> list[Path]:
+    """Write a report as a page, and its pictures beside it; return their paths.
+
+    Arguments and errors as of :func:`write_report_page`.
+    """
+    pictures = write_pictures(report, page.parent, on_progress)
+    write_report_page(report, page, on_progress=on_progress)
+    return pictures
 
 
 def write_report_page(

@@ -45,6 +45,18 @@ def sentences(path: Path, block: str, **values: Any) -> tuple[str, ...]:
     return tuple(_paragraphs(text))
 
 
+def macro_text(path: Path, macro: str, **values: Any) -> str:
+    """Text of one macro of a template, as a command prints it, without the last line's end.
+
+    Args:
+        path: the template.
+        macro: name of the macro.
+        values: its arguments.
+    """
+    text: str = getattr(_template(path).module, macro)(**values)
+    return text.removesuffix('\n')
+
+
 def fill_report(
     template: Path, values: Mapping[str, Any],
     figures: Mapping[str, Sequence[Picture | Table]], **more: Any,

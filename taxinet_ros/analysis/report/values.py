@@ -8,28 +8,9 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
-
-
-def plain_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert to JSON types; None for a number that is not finite."""
-    return {str(key): _plain(one) for key, one in values.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return plain_values(value)
-    if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def signs(words: str) -> str:

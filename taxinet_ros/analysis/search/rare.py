@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import json_text
 from taxinet_ros.samplers.splitting import WIDE, RareEstimate, Splitting, State
 from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.trials.engine import Engine
@@ -66,8 +68,8 @@ def estimate_values(found: RareEstimate, search: Engine[Search]) -> dict[str, An
         'drawn': found.drawn, 'drawn_failed': found.drawn_failed,
         'levels': [
             {
-                'below': _finite(step.below), 'probability': step.probability,
-                'islands': step.islands, 'accepted': _finite(step.accepted),
+                'below': step.below, 'probability': step.probability,
+                'islands': step.islands, 'accepted': step.accepted,
             } for step in found.steps
         ],
         'curve': [
@@ -77,27 +79,50 @@ def estimate_values(found: RareEstimate, search: Engine[Search]) -> dict[str, An
     }
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _without_result(search: Engine[Search]) -> int:
     return search.summary.outcomes[Outcome.INFRA_ERROR]
 
 
-def write_estimate(found: RareEstimate, search: Engine[Search]) -> tuple[Path, Path | None]:
+def write_estimate(found: RareEstimate, search: Engine[Search]) -> list[Path]:
     """Write ``estimate.json`` and ``tail.png`` into the campaign's folder."""
     out = search.options.out
     values = estimate_values(found, search)
-    write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
+    write_atomically(out / JSON_NAME, json_text(values) + '\n')
     if not found.curve:
-        return out / JSON_NAME, None
+        return [out / JSON_NAME]
     campaign = search.options
     scenes = scenes_words(campaign.program, {**campaign.overrides, **campaign.laid_over})
     title = f'{scenes}, {search.perception}: tail of the robustness'
     picture = tail_picture(found, title, search.options.judging.headline)
-    written = write_png(picture, out, LIGHT)
-    return out / JSON_NAME, written
+    return [out / JSON_NAME, write_png(picture, out, LIGHT)]
+
+
+def next_lines(found: RareEstimate, search: Engine[Search]) -> Sequence[str]:
+    """Why the search ended, and the next useful command."""
+    out = search.options.out
+    why = 'interrupted' if search.interrupted else search.stopped
+    lines = [f'ended: {why}'] if why else []
+    failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
+    if search.interrupted or (search.stopped and not search.exhausted):
+        lines.append('next: the same command with --resume continues it')
+    elif found.state is State.UNCLEAR:
+        more = '' if found.plain else (
+            '--resume with more --runs adds islands to the same draws, for the lower end, and '
+            'keeps the 95 %; '
+        )
+        lines.append(
+            f'next: {more}a new estimate with more --runs narrows both ends, but is another look: '
+            'tell both, as each misses in up to 5 %'
+        )
+    elif failed:
+        worst = min(failed, key=lambda row: row.headline.upper if row.headline else 0.0)
+        lines.append(
+            f'next: taxinet analyze {shlex.quote(str(out))} for causes, or taxinet explain '
+            f'{shlex.quote(str(out / worst.run_id))} for the worst failure'
+        )
+    else:
+        lines.append(f'next: taxinet analyze {shlex.quote(str(out))}')
+    return lines
 
 
 def probability_words(value: float) -> str:

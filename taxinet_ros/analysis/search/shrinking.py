@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,10 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.one_run.trajectories import BAND_M, Trajectory
-from taxinet_ros.analysis.report.page import write_report_page
+from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import Column, Picture, Table, Theme
 from taxinet_ros.analysis.report.parts import Report as PageReport
-from taxinet_ros.analysis.report.pictures import write_pictures
 from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import signs
 from taxinet_ros.bag.run.recording import open_recording
@@ -25,6 +22,7 @@ from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import json_text, plain
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.shrink.report import (
@@ -128,10 +126,9 @@ def write_shrunk(shrinking: Shrinking, found: Report) -> list[str]:
         for one in found.findings if one.matters and one.rho_passes_at is not None
     }
     write_atomically(out / PROGRAM_NAME, scenario_program(found.scenario, about, remarks))
-    write_atomically(out / JSON_NAME, json.dumps(_as_json(shrinking, found), indent=2) + '\n')
+    write_atomically(out / JSON_NAME, json_text(_as_json(shrinking, found)) + '\n')
     report = shrink_report(shrinking, found)
-    write_pictures(report, out)
-    write_report_page(report, out / PAGE_NAME)
+    write_report(report, out / PAGE_NAME)
     pictures = [PICTURE_NAME] if report.sections[0].pictures else []
     return [PAGE_NAME, PROGRAM_NAME, JSON_NAME, *pictures]
 
@@ -195,7 +192,7 @@ def _as_json(shrinking: Shrinking, found: Report) -> dict[str, Any]:
         'made_on': dict(provenance()),
         'parameters': {
             one.key: {
-                **{name: value for name, value in dataclasses.asdict(one).items() if name != 'key'},
+                **{name: value for name, value in plain(one).items() if name != 'key'},
                 'matters': one.matters,
             }
             for one in found.findings

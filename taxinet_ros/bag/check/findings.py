@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -57,3 +58,13 @@ def ranges(numbers: Iterable[int]) -> str:
 def _joined(words: Sequence[str], most: int = 6) -> str:
     more = f' and {len(words) - most} more' if len(words) > most else ''
     return ', '.join(words[:most]) + more
+
+
+def conclusion(mends: Sequence[str]) -> str:
+    """The commands that mend some findings, '' for what none mends; '' without findings."""
+    counts = Counter(mends)
+    lost = counts.pop('', 0)
+    parts = [f'{number} mended by: {command}' for command, number in counts.items()]
+    if lost:
+        parts.append(f'{lost} only by making it again')
+    return f'{len(mends)} found; {"; ".join(parts)}' if mends else ''

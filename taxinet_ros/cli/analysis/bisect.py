@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.options import JsonOption, ProcessesCountOption
-from taxinet_ros.cli.show import line_console
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode, UsageError
 
 BISECT_NAME = 'bisect.json'
@@ -53,6 +52,7 @@ def bisect(
     from taxinet_ros.cli.progress import trial_bar
     from taxinet_ros.core.perception.perception import check_perception
     from taxinet_ros.files.atomic import write_atomically
+    from taxinet_ros.files.plain_values import json_text
     from taxinet_ros.trials.options import DEFAULT_ROOT
     from taxinet_ros.trials.past_runs.shared_scenes import SharedTrials, scenes_of
 
@@ -76,20 +76,14 @@ def bisect(
         def drive(place: int, names: Sequence[str]) -> dict[str, bool | None]:
             done = trials.drive(
                 networks[place], names, workers=workers, on_trial=count, interrupted=interrupted)
-            if interrupted():
-                raise KeyboardInterrupt
             return {name: done[name].passed for name in names}
 
         names = [scene.row.run_id for scene in scenes.scenes]
-        try:
-            found = bisect_scenes(networks, names, drive, every=every)
-        except KeyboardInterrupt:
-            console.print('interrupted; the same command goes on')
-            return ExitCode.INTERRUPTED
+        found = bisect_scenes(networks, names, drive, every=every)
     values = bisection_json(found)
-    write_atomically(out / BISECT_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
+    write_atomically(out / BISECT_NAME, json_text(values) + '\n')
     if as_json:
-        print(json.dumps(values, indent=2, allow_nan=False))
+        print_json(values)
     for line in bisection_lines(found):
         console.print(line)
     console.print(f'written: {out / BISECT_NAME}')

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from taxinet_ros.cli.options import JsonOption, ProcessesCountOption
-from taxinet_ros.cli.show import line_console
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ def check(
         told.print('interrupted; nothing is kept')
         return ExitCode.INTERRUPTED
     if as_json:
-        print(json.dumps([one.json(allow) for one in found], indent=2, allow_nan=False))
+        print_json([one.json(allow) for one in found])
     codes = [one.code(allow) for one in found]
     for one, code in zip(found, codes, strict=True):
         if not quiet or code is not ExitCode.OK:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from taxinet_ros.cli.options import JsonOption, RunOption
-from taxinet_ros.cli.show import line_console
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.analysis.explain.explain import Explanation
     from taxinet_ros.bag.run.facts import RecordedRun
     from taxinet_ros.core.renderer import ChosenRenderer
 
-JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
 
 
 def explain(
@@ -55,11 +52,11 @@ def explain(
     depends on.
     """
     from taxinet_ros.analysis.explain.explain import explain
-    from taxinet_ros.analysis.explain.report import explain_json, explain_report
-    from taxinet_ros.cli.bag.input import readable_run
+    from taxinet_ros.analysis.explain.report import explain_report, write_explanation
     from taxinet_ros.cli.progress import stage_bars
     from taxinet_ros.core.perception.perception import make_perception
-    from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
+    from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder
+    from taxinet_ros.trials.past_runs.repeated_run import readable_run
 
     console = line_console(stderr=as_json)
     with readable_run(bag, run_id) as recording:
@@ -73,21 +70,21 @@ def explain(
                 recording, make_perception(word), frames=frames,
                 on_progress=show, renderer=renderer,
             )
-    _make(out)
-    written = _write(found, out)
+    make_out(out)
+    page, values = write_explanation(found, out)
     if as_json:
-        print(json.dumps(explain_json(found), indent=2, allow_nan=False))
+        print_json(values)
         return ExitCode.OK
     console.print(f'{run.request.run_id}, network {word}')
     for sentence in explain_report(found).summary:
         console.print(sentence)
-    console.print(f'page: {written}')
+    console.print(f'page: {page}')
     return ExitCode.OK
 
 
 def _network(run: RecordedRun, asked: str | None) -> str:
     """Word or file of the network to examine; by default the run's own, if available."""
-    from taxinet_ros.cli.bag.input import perception_of
+    from taxinet_ros.trials.past_runs.repeated_run import perception_of
 
     name = run.request.run_id
     if asked == 'truth':
@@ -123,27 +120,3 @@ def _renderer(run: RecordedRun, asked: str | None) -> ChosenRenderer | None:
         'pictures of another one would differ in everything; leave it out, or take '
         f'--camera {camera}'
     )
-
-
-def _make(out: Path) -> None:
-    from taxinet_ros.files.atomic import make_folder
-
-    try:
-        make_folder(out)
-    except OSError as error:
-        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
-
-
-def _write(found: Explanation, out: Path) -> Path:
-    """Write images, JSON and page; return the page's path."""
-    from taxinet_ros.analysis.explain.report import explain_json, explain_report
-    from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import write_pictures
-    from taxinet_ros.files.atomic import write_atomically
-
-    report = explain_report(found)
-    write_pictures(report, out)
-    write_atomically(
-        out / JSON_NAME, json.dumps(explain_json(found), indent=2, allow_nan=False) + '\n')
-    write_report_page(report, out / PAGE_NAME)
-    return out / PAGE_NAME

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from taxinet_ros.cli.options import CampaignArgument, JsonOption, ProcessesCountOption
-from taxinet_ros.cli.show import line_console
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     unfinished = len(trials) < options.wanted
     written = _write(found, campaign, options.out)
     if as_json:
-        print(json.dumps(localisation_json(found) | {'complete': not unfinished}, indent=2))
+        print_json(localisation_json(found) | {'complete': not unfinished})
     else:
         lines = [*localisation_sentences(found), f'written: {", ".join(map(str, written))}']
         console.print('\n'.join(lines))
@@ -118,8 +117,7 @@ def _write(found: Localisation, campaign: RecordedCampaign, out: Path) -> list[P
         worst_cases,
         write_cases,
     )
-    from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+    from taxinet_ros.analysis.report.page import write_report
     from taxinet_ros.bag.errors import BagError
     from taxinet_ros.bag.run.recording import open_recording
     from taxinet_ros.files.record import RECORD_NAME
@@ -132,10 +130,6 @@ def _write(found: Localisation, campaign: RecordedCampaign, out: Path) -> list[P
     report = localisation_report(found, worst, campaign.folder)
     path, tables = out / JSON_NAME, write_cases(found, out)
     write_sealed(path, localisation_json(found), [*tables, out / RECORD_NAME])
-    pictures = [
-        write_png(picture, out, LIGHT) for section in report.sections
-        for picture in section.pictures
-    ]
     page = out / 'localize.html'
-    write_report_page(report, page)
+    pictures = write_report(report, page)
     return [page, *pictures, *tables, path]

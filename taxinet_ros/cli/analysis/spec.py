@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated
 
 import typer
 
 from taxinet_ros.cli.completion import complete_gain, complete_spec
 from taxinet_ros.cli.options import JsonOption
-from taxinet_ros.cli.show import line_console
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import UsageError
 
 
@@ -50,13 +49,13 @@ def spec(
         raise UsageError(f'--set {next(iter(others))}: only controller gains apply here')
     found = check_specs(specs, Scenario(duration_s=duration), SteeringGains(**gains))
     if as_json:
-        print(json.dumps({
+        print_json({
             'specs': [
                 {'spec': spec.name, 'formula': spec.text, 'understood': line}
                 for spec, line in zip(specs, found.lines, strict=True)
             ],
-            'warnings': list(found.warnings),
-        }, indent=2))
+            'warnings': found.warnings,
+        })
         return
     for line in requirement_lines(found):
         line_console().print(line)

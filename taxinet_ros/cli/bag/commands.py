@@ -5,8 +5,10 @@ from taxinet_ros.cli.bag.doctor import bag_doctor
 from taxinet_ros.cli.bag.export import export
 from taxinet_ros.cli.bag.golden import golden
 from taxinet_ros.cli.bag.info import info
-from taxinet_ros.cli.bag.repair import recover, render, split
+from taxinet_ros.cli.bag.recover import recover
+from taxinet_ros.cli.bag.render import render
 from taxinet_ros.cli.bag.replay import replay
+from taxinet_ros.cli.bag.split import split
 from taxinet_ros.cli.help import command_group
 
 bag_app = command_group(

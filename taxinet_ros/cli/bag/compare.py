@@ -41,7 +41,8 @@ def compare(
     Run names are ignored. Exit code: 0 identical, 1 different, 2 bad input.
     """
     from taxinet_ros.bag.check.compare import compare_bags
-    from taxinet_ros.cli.bag.input import one_run, readable_bags, warn_of_stacks
+    from taxinet_ros.cli.bag.input import warn_of_stacks
+    from taxinet_ros.trials.past_runs.repeated_run import one_run, readable_bags
 
     if not 0 <= tolerance < float('inf'):
         raise UsageError(f'--tolerance {tolerance:g}: needs to be 0 or more')

@@ -51,7 +51,8 @@ def export(
     """
     from taxinet_ros.bag.run.recording import open_recording
     from taxinet_ros.bag.run.runs import is_run_topic
-    from taxinet_ros.cli.bag.input import exit_code_of, one_run
+    from taxinet_ros.cli.bag.input import exit_code_of
+    from taxinet_ros.trials.past_runs.repeated_run import one_run
 
     topics = topics or []
     kind = _format(out, file_format, topics)

@@ -41,13 +41,13 @@ def golden(
     )
     from taxinet_ros.bag.run.recording import open_recording
     from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL, print_comparison
-    from taxinet_ros.cli.bag.input import (
+    from taxinet_ros.nodes.graph.replay import rerun
+    from taxinet_ros.trials.past_runs.repeated_run import (
         controller_of,
         perception_of,
         perception_words,
         readable_bags,
     )
-    from taxinet_ros.nodes.graph.replay import rerun
 
     console = line_console()
     bags = golden_bags(folder)

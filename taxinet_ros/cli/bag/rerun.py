@@ -10,13 +10,7 @@ from taxinet_ros.bag.rewrite.frames import IMAGE
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import recorded_world
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL, print_comparison
-from taxinet_ros.cli.bag.input import (
-    controller_of,
-    perception_of,
-    perception_words,
-    readable_bags,
-    warn_of_stacks,
-)
+from taxinet_ros.cli.bag.input import warn_of_stacks
 from taxinet_ros.cli.show import line_console
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
@@ -26,6 +20,12 @@ from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.processes.interrupts import ToldInterrupt
 from taxinet_ros.trials.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
+from taxinet_ros.trials.past_runs.repeated_run import (
+    controller_of,
+    perception_of,
+    perception_words,
+    readable_bags,
+)
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.summary import row_line
 

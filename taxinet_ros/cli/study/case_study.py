@@ -19,23 +19,14 @@ from taxinet_ros.cli.show import line_console
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.record import RECORD_NAME
-from taxinet_ros.study.stages.config import (
-    StudyConfig,
-    read_config,
-    resized,
-    scaled,
-    shipped_config,
-    study_of,
-)
-from taxinet_ros.study.stages.plan import stages, stages_until
+from taxinet_ros.study.stages.config import read_config, resized, scaled, shipped_config
+from taxinet_ros.study.stages.plan import COMMAND, read_study, stages, stages_until
 from taxinet_ros.study.stages.progress import list_lines, study_heading
-from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options, read_stages
+from taxinet_ros.study.stages.record import OPTIONS, open_study, read_stages
 from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import with_engine
 from taxinet_ros.trials.cluster.pool import check_cluster
-from taxinet_ros.trials.options import DEFAULT_ROOT, GRAPH, check_new, make_out, new_folder
-
-_COMMAND = 'case-study'
+from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder
 
 
 def case_study(
@@ -80,7 +71,7 @@ def case_study(
         typer.Option(metavar='DIR', help="write the report from the tables in DIR (such as the "
         "shipped bags/), and check the paper's statements against them; runs nothing"),
     ] = None,
-) -> None:
+) -> int:
     """Run the paper's case study: falsify, debug, retrain, learn, report.
 
     Every stage does what a printed taxinet command does. Finished stages whose inputs are
@@ -88,36 +79,20 @@ def case_study(
     130 interrupted, else that of the failed stage.
     """
     if tables is not None or report_only:
+        from taxinet_ros.study.report.report import report_case_study  # pictures take time
+
         what, taken = ('--report-only', {'report_only', 'out'}) if tables is None else (
             '--tables', {'tables', 'out', 'config'})
         refuse_given(context, given_options(context).keys() - taken,
                      f'has no effect with {what}, which runs nothing')
-        raise typer.Exit(report_case_study(out, config=config, tables=tables))
-    raise typer.Exit(run_case_study(
-        config=config, scale=scale, runs=runs, images=images, workers=workers, out=out,
-        resume=resume, until=until, listed=listed, engine=engine, audit=audit, cluster=cluster,
-    ))
-
-
-def run_case_study(
-    *, config: Path | None = None, scale: float | None = None, runs: int | None = None,
-    images: int | None = None, workers: int | None = None, out: Path | None = None,
-    resume: bool = False, until: str | None = None, listed: bool = False, engine: str = GRAPH,
-    audit: str | None = None, cluster: str | None = None,
-) -> int:
-    """Run the study or the requested part, and print progress; see :func:`case_study`.
-
-    Returns:
-        Exit code: 0 done, 130 interrupted, else that of the stage that failed.
-
-    Raises:
-        UsageError: bad input.
-    """
+        for line in report_case_study(out, config=config, tables=tables):
+            line_console().print(line)
+        return ExitCode.OK
     if resume and out is None:
         raise UsageError('--resume: name the case study to continue with --out')
     begun = resume or (listed and out is not None and (out / RECORD_NAME).exists())
     if begun and out is not None and config is None and scale is None:
-        study = _begun(out, '--resume' if resume else '--list')
+        study = read_study(out, '--resume' if resume else '--list')
     else:
         study = scaled(read_config(config or shipped_config()), 1.0 if scale is None else scale)
     study = resized(study, runs=runs, images=images, workers=workers)
@@ -125,11 +100,7 @@ def run_case_study(
     wanted = with_engine(stages(study), engine, audit, where)
     if until:
         wanted = stages_until(wanted, until)
-    console = line_console()
-
-    def show(line: str) -> None:
-        console.print(line)
-
+    show = line_console().print
     if listed:
         for line in list_lines(wanted, read_stages(out or Path('OUT')), out or Path('OUT')):
             show(line)
@@ -137,12 +108,12 @@ def run_case_study(
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
     check_workers(study.workers)
-    out = out or new_folder(DEFAULT_ROOT / 'case-study')
+    out = out or new_folder(DEFAULT_ROOT / COMMAND)
     if not resume:
         check_new(out)
     make_out(out)
     with open_study(out, show) as record:
-        record.put(OPTIONS, _COMMAND, dataclasses.asdict(study))
+        record.put(OPTIONS, COMMAND, dataclasses.asdict(study))
         show(study_heading(study, wanted, out))
         show(f'every stage runs in {out}')
         run = StudyRun(
@@ -151,40 +122,4 @@ def run_case_study(
             run.run()
         except StoppedError as stopped:
             return stopped.code
-    return ExitCode.OK
-
-
-def _begun(out: Path, option: str) -> StudyConfig:
-    """The configuration of the study in a folder."""
-    return study_of(read_options(out, _COMMAND, option))
-
-
-def report_case_study(
-    out: Path | None, *, config: Path | None = None, tables: Path | None = None
-) -> int:
-    """Write the report of the stages done in a folder, or of tables into a new one.
-
-    Args:
-        out: folder of the study.
-        config: configuration of the tables' study; None for the shipped one.
-        tables: folder of the tables, or None.
-
-    Returns:
-        Exit code: 0.
-
-    Raises:
-        UsageError: bad input.
-    """
-    if tables is not None:
-        study = read_config(config or shipped_config())
-        out = out or new_folder(DEFAULT_ROOT / 'case-study')
-        check_new(out)
-    elif out is None:
-        raise UsageError('--report-only: name the case study with --out')
-    else:
-        study = _begun(out, '--report-only')
-    from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
-
-    for line in write_study_report(study, out, tables):
-        line_console().print(line)
     return ExitCode.OK

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,19 +21,17 @@ from taxinet_ros.cli.show import line_console
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.study.improve.acceptance import Decision
-from taxinet_ros.study.improve.loop import BEST, START, Round, improve_network
-from taxinet_ros.study.improve.options import ImproveOptions
-from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
+from taxinet_ros.files.plain_values import json_text
+from taxinet_ros.study.improve.loop import BEST, improve_network, resumed
+from taxinet_ros.study.improve.options import COMMAND, ImproveOptions
+from taxinet_ros.study.stages.record import OPTIONS, open_study
 from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder
-from taxinet_ros.trials.rates import rate
 
 ROUNDS_NAME = 'rounds.json'
 """The rounds of the record, to read."""
-_COMMAND = 'improve'
 
 
 def improve(
@@ -106,23 +102,26 @@ def improve(
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
         margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
-    console = line_console()
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
     with_engine((), engine, audit)  # checks them before anything is made
     where = check_cluster(cluster) if cluster else ''
     if asked is not None:
         check_workers(asked.workers)
-    options, folder = _begun(asked, out, workers)
+    if asked is None:
+        if out is None:
+            raise UsageError('--resume: name the folder to continue with --out')
+        options, folder = resumed(out, workers), out
+    else:
+        options, folder = asked.checked(), out or new_folder(DEFAULT_ROOT / COMMAND)
+        check_new(folder)
+        make_out(folder)
     check_workers(options.workers)
-
-    def show(line: str) -> None:
-        console.print(line)
-
+    show = line_console().print
     made: list[dict[str, Any]] = []
     with open_study(folder, show) as record:
         if OPTIONS not in record.entries:
-            record.put(OPTIONS, _COMMAND, dataclasses.asdict(options))
+            record.put(OPTIONS, COMMAND, dataclasses.asdict(options))
         show(
             f'improve {options.start} on {options.program}: at most {options.rounds} rounds of 3 '
             f'times {options.runs:,} runs -> {folder}'
@@ -139,62 +138,10 @@ def improve(
             for done in improve_network(folder, options, run_stages):
                 made.append(done.to_json())
                 record.put('round', str(done.number), made[-1])
-                write_atomically(folder / ROUNDS_NAME, json.dumps(made, indent=2) + '\n')
-                for line in ('', *round_lines(done, options.rounds)):
+                write_atomically(folder / ROUNDS_NAME, json_text(made) + '\n')
+                for line in ('', *done.lines(options.rounds)):
                     show(line)
         except StoppedError as stopped:
             return stopped.code
     show(f'network: {folder / BEST}; decisions of the rounds: {folder / ROUNDS_NAME}')
     return ExitCode.OK
-
-
-def _begun(
-    options: ImproveOptions | None, out: Path | None, workers: int
-) -> tuple[ImproveOptions, Path]:
-    """Options and folder of a new or resumed loop."""
-    if options is None:
-        if out is None:
-            raise UsageError('--resume: name the folder to continue with --out')
-        values = read_options(out, _COMMAND, '--resume')
-        earlier = ImproveOptions(**{**values, 'add': tuple(values['add']), 'workers': workers})
-        if (out / START).exists():
-            earlier = dataclasses.replace(earlier, start=str(out / START))
-        return earlier, out
-    options = options.checked()
-    if out is None:
-        out = new_folder(DEFAULT_ROOT / 'improve')
-    check_new(out)
-    make_out(out)
-    return options, out
-
-
-def round_lines(done: Round, rounds: int) -> list[str]:
-    """Text lines on a round's findings and decision."""
-    lines = [
-        f'round {done.number} of {rounds}: {done.failed} of {done.searched} runs of the search '
-        'failed'
-    ]
-    lines += [f'  cause: {words}' for words in done.causes]
-    lines += [f'  cluster: {words}' for words in done.clusters]
-    if done.decision is None:
-        return [*lines, '  no failures to learn from; a larger --budget may find more']
-    return [*lines, *_decision_lines(done.decision)]
-
-
-def _decision_lines(made: Decision) -> list[str]:
-    now = rate(made.pairs - made.failed_now, made.pairs)
-    return [
-        f'  on {made.pairs} scenes new to both: {made.failed_before} failures before, '
-        f'{made.failed_now} now ({made.only_before} only before, {made.only_now} only now); '
-        f'{made.off_before} and {made.off_now} left the runway',
-        f'  now satisfied: {100 * now.rate:.1f} % ({100 * now.low:.1f}-{100 * now.high:.1f} %); '
-        f'rho {_change(made)}',
-        f'  failure rate higher by at most {100 * max(made.more_failures, 0):.1f} points',
-        f'  {"ACCEPTED" if made.accepted else "REJECTED"}: {made.why}',
-    ]
-
-
-def _change(made: Decision) -> str:
-    if math.isnan(made.rho_low):  # too few pairs for an interval
-        return f'{made.rho_change:+.3f}'
-    return f'{made.rho_change:+.3f} ({made.rho_low:+.3f} to {made.rho_high:+.3f})'

@@ -8,10 +8,8 @@ from typing import Any
 
 import typer
 
-from taxinet_ros.cli.analysis.analyze import analyze
-from taxinet_ros.cli.analysis.explain import explain
-from taxinet_ros.cli.analysis.localize import localize
-from taxinet_ros.cli.run.commands import experiment, shrink
+from taxinet_ros.cli.commands import command_function
+from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.trials.options import GRAPH, make_options
@@ -66,22 +64,25 @@ def _train(
 
 
 def _report(_: str, options: Mapping[str, Any]) -> int:
-    from taxinet_ros.cli.study.case_study import report_case_study
+    from taxinet_ros.study.report.report import report_case_study
 
-    return report_case_study(options['out'])
+    for line in report_case_study(options['out']):
+        line_console().print(line)
+    return ExitCode.OK
 
 
 def _command(
-    command: Callable[..., int | None], kind: Callable[[str], object] = Path
+    name: str, kind: Callable[[str], object] = Path
 ) -> Callable[[str, Mapping[str, Any]], int]:
     """The function of a command, whose argument is a path or of another kind."""
-    return lambda argument, options: command(kind(argument), **options) or ExitCode.OK
+    return lambda argument, options: (
+        command_function(name)(kind(argument), **options) or ExitCode.OK)
 
 
 _FUNCTIONS: Mapping[str, Callable[[str, Mapping[str, Any]], int]] = {
     'falsify': lambda program, options: _falsify(program, **options),
     'train': lambda program, options: _train(program, **options),
-    'experiment': _command(experiment, str),
-    **{command.__name__: _command(command) for command in (analyze, localize, explain, shrink)},
+    'experiment': _command('experiment', str),
+    **{name: _command(name) for name in ('analyze', 'localize', 'explain', 'shrink')},
     'case-study': _report,
 }

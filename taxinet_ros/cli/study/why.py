@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,35 +11,21 @@ import typer
 from taxinet_ros.analysis.report.page import write_report_page
 from taxinet_ros.analysis.report.parts import Section
 from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
-from taxinet_ros.cli.show import line_console
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
-from taxinet_ros.files.record import RECORD_NAME, Record
-from taxinet_ros.study.stages.record import OPTIONS, STAGE, open_study
+from taxinet_ros.files.plain_values import json_text
+from taxinet_ros.files.record import RECORD_NAME
+from taxinet_ros.study.stages.record import claim_study, open_study
 from taxinet_ros.study.stages.run import StoppedError, StudyRun
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.study.why.investigation import Investigation, kind_of
 from taxinet_ros.study.why.plan import Budget
-from taxinet_ros.study.why.report import (
-    JSON_NAME,
-    PAGE_NAME,
-    why_json,
-    why_report,
-)
-from taxinet_ros.study.why.verdict import (
-    Evidence,
-    Fault,
-    Verdict,
-    actions,
-    judge,
-)
+from taxinet_ros.study.why.report import JSON_NAME, PAGE_NAME, why_json, why_report
+from taxinet_ros.study.why.verdict import Fault, Verdict, judge, todo_of
 from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, make_out
-from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.trials.record.facts import is_campaign
-
-_COMMAND = 'why'
 
 
 def why(
@@ -88,12 +72,10 @@ def why(
         raise UsageError(f'--out {_near(out)}: contains something else; choose another folder')
     make_out(out)
 
-    def show(line: str) -> None:
-        console.print(line)
-
+    show = console.print
     show(f'why {kind} {subject}: at most about {budget} runs -> {_near(out)}')
     with open_study(out, show) as record:
-        _claim(record, out, path)
+        claim_study(record, 'why', {'path': str(path)})
         (out / 'logs').mkdir(exist_ok=True)
 
         def run_stages(stages: Sequence[Stage]) -> Mapping[str, str]:
@@ -115,12 +97,12 @@ def why(
             return stopped.code
         record.check_in_place()
         verdict = judge(evidence)
-        todo = tuple(_actions(evidence, verdict, path, kind))
+        todo = todo_of(evidence, verdict, path, kind)
         write_report_page(why_report(evidence, verdict, todo, out), out / PAGE_NAME)
         values = why_json(evidence, verdict, todo)
-        write_atomically(out / JSON_NAME, json.dumps(values, indent=2, allow_nan=False) + '\n')
+        write_atomically(out / JSON_NAME, json_text(values) + '\n')
     if as_json:
-        print(json.dumps(values, indent=2, allow_nan=False))
+        print_json(values)
     else:
         _print(show, verdict, todo, out)
     unclear = verdict.fault in (Fault.UNCLEAR, Fault.BENCH)
@@ -140,31 +122,6 @@ def _print(
             show(f'  {command}')
     show('')
     show(f'page: {_near(out / PAGE_NAME)}')
-
-
-def _actions(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Section, ...]:
-    """What to do; paths below the current folder are as one would type them."""
-    folder = path if kind == 'campaign' else path.parent
-    campaign = open_campaign(folder) if is_campaign(folder) else None
-    kept = campaign is not None and any(map(campaign.bag, campaign.counterexamples))
-    here = f'{Path.cwd()}/'
-    return tuple(
-        replace(one, commands=tuple(line.replace(here, '') for line in one.commands))
-        for one in actions(
-            evidence, verdict.fault, campaign=None if campaign is None else folder, kept_bags=kept)
-    )
-
-
-def _claim(record: Record, out: Path, path: Path) -> None:
-    """Note the subject of a new record, or check that it is about this one.
-
-    Raises:
-        UsageError: it is about something else.
-    """
-    mine, before = {'path': str(path)}, record.entries.get(OPTIONS, {})
-    if before.get(_COMMAND, mine) != mine or (not before and record.entries.keys() - {STAGE}):
-        raise UsageError(f'--out {out}: is about something else; choose another folder')
-    record.put(OPTIONS, _COMMAND, mine)
 
 
 def _near(path: Path) -> str:

@@ -2,81 +2,27 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from taxinet_ros.cli.checked import tell_doubts
-from taxinet_ros.cli.completion import complete_aircraft
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import (
     PictureOption,
     RendererOption,
     ScenarioOption,
-    refuse_given,
 )
+from taxinet_ros.cli.training.camera_show import show_camera
 from taxinet_ros.cli.training.labelled_frames import compare
 from taxinet_ros.errors import UsageError
-
-if TYPE_CHECKING:
-    from taxinet_ros.core.rig.camera_model import CameraModel
 
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
 camera_app = command_group('Render camera frames, and compare them with labelled images.')
 
 
-@camera_app.command('show')
-def show_camera(
-    context: typer.Context,
-    camera: Annotated[
-        str | None,
-        typer.Argument(metavar='[CAMERA]', help='shipped name, or YAML file of one (default: list '
-                       'those that are shipped)'),
-    ] = None,
-    aircraft: Annotated[
-        str | None,
-        typer.Option(
-            metavar='NAME|FILE', help='aircraft: caravan, c172p, or a YAML file of one',
-            autocompletion=complete_aircraft,
-        ),
-    ] = None,
-    out: PictureOption = None,
-    yaml: Annotated[
-        Path | None,
-        typer.Option(
-            '--yaml', metavar='FILE.yaml', writable=True, dir_okay=False,
-            help='also write it as a YAML file, to be changed; must be new',
-        ),
-    ] = None,
-) -> None:
-    """Describe a camera, and draw what it sees on an aircraft and where it looks, or list all."""
-    from taxinet_ros.analysis.camera.rig_pictures import draw_camera
-    from taxinet_ros.cli.training.pictures import new_picture, write_picture
-    from taxinet_ros.core.camera.airframe import covering_doubts
-    from taxinet_ros.core.motion.aircraft import checked_aircraft
-    from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
-
-    if camera is None:
-        refuse_given(context, ('aircraft', 'out', 'yaml'), 'only with a CAMERA')
-        for name in CAMERAS.shipped:
-            found = CAMERAS.find(name)
-            print(f'{name:<6} {found.width_px}x{found.height_px}  {found.title}')
-        return
-    found = CAMERAS.typed(camera)
-    on = checked_aircraft(AIRCRAFT.typed(aircraft or AIRCRAFT.default))
-    path = new_picture(out, f'camera-{found.name}')
-    if yaml is not None:
-        _write_camera(found, yaml)
-    for label, text in _lines(found):
-        print(f'{label:<12}{text}')
-    write_picture(path, lambda: draw_camera(found, on, path))
-    print(f'picture: {path}' if yaml is None else f'picture: {path}, file: {yaml}')
-    tell_doubts(covering_doubts(on, found))
+camera_app.command('show')(show_camera)
 
 
 @camera_app.command('frame')
@@ -133,52 +79,3 @@ def sheet(
 
 
 camera_app.command('compare')(compare)
-
-
-def _write_camera(camera: CameraModel, path: Path) -> None:
-    """Write the file of a camera, with which its pictures are the same."""
-    from taxinet_ros.files.plain_values import dump_yaml
-    from taxinet_ros.trials.requirements import SUFFIXES
-
-    if path.suffix not in SUFFIXES:
-        raise UsageError(f'--yaml {path}: camera files end in .yaml; use {path.stem}.yaml')
-    try:
-        with path.open('x', encoding='utf-8') as file:
-            file.write(dump_yaml(json.loads(camera.document)))
-    except OSError as error:
-        raise UsageError(f'--yaml {path}: cannot be written: {error.strerror}') from error
-
-
-def _lines(camera: CameraModel) -> Iterator[tuple[str, str]]:
-    from taxinet_ros.core.rig.camera_model import BY_HAND
-    from taxinet_ros.core.rig.catalogue import CAMERAS
-
-    yield 'camera', f'{camera.reference}: {camera.title}'
-    x, y, z = camera.offset_m
-    ways = ((x, 'forward', 'back'), (y, 'left', 'right'), (z, 'up', 'down'))
-    words = ', '.join(f'{abs(value):g} m {one if value >= 0 else other}'
-                      for value, one, other in ways)
-    yield 'mount', f'{words} from the centre of gravity'
-    roll, pitch, yaw = map(math.degrees, (camera.roll_rad, camera.pitch_rad, camera.yaw_rad))
-    yield 'attitude', f'roll {roll:g}, pitch {pitch:g} (nose down), yaw {yaw:g} (left) deg'
-    (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
-    yield 'lens', f'focal {fx:.6g}, {fy:.6g} px, centre {cx:.6g}, {cy:.6g} px'
-    yield 'picture', f'{camera.width_px} x {camera.height_px} px, {_angles(camera)}'
-    if camera.distorts:
-        yield 'distortion', 'k1 {:g}, k2 {:g}, p1 {:g}, p2 {:g}, k3 {:g}'.format(*camera.distortion)
-    if camera.aircraft_parts == BY_HAND:
-        yield 'aircraft', "aircraft_parts: by_hand, the Caravan's cowling and nose wheel only"
-    yield 'sensor', f'exposure {camera.exposure_ev:+g} EV, noise {camera.noise_codes:g} codes'
-    if camera.shape != CAMERAS.find(CAMERAS.default).shape:
-        yield 'networks', 'take 360x200: they get the frame averaged to that, out of its aspect'
-
-
-def _angles(camera: CameraModel) -> str:
-    """Field of view along the middle row and the middle column."""
-    import numpy as np
-
-    u, v = (camera.width_px - 1) / 2, (camera.height_px - 1) / 2
-    x, _ = camera.straight_rays(np.array([-0.5, 2 * u + 0.5]), np.array([v, v]))
-    _, y = camera.straight_rays(np.array([u, u]), np.array([-0.5, 2 * v + 0.5]))
-    across, down = (math.degrees(math.atan(b) - math.atan(a)) for a, b in (x, y))
-    return f'field of view {across:.1f} x {down:.1f} deg'

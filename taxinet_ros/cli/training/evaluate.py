@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +17,7 @@ from taxinet_ros.cli.options import (
     RendererOption,
     refuse_given,
 )
-from taxinet_ros.cli.show import line_console
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -75,8 +73,7 @@ def evaluate(
     facts |= {'data': str(data)} if data else {'program': str(program), 'seed': str(seed)}
     facts |= {} if camera == OURS else {'camera': camera}
     if as_json:
-        values = {**facts, 'made_on': dict(provenance()), 'slices': [asdict(row) for row in rows]}
-        print(json.dumps(values, indent=2))
+        print_json({**facts, 'made_on': provenance(), 'slices': rows})
         return
     _print_errors(rows, ', '.join(f'{name} {value}' for name, value in facts.items()))
 

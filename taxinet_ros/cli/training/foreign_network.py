@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.completion import one_of
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import PictureOption, ScenarioOption
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.outputs import check_output
 
 network_app = command_group('Networks of others: convert them, and see what they see.')
 

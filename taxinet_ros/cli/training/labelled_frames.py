@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.cli.options import PictureOption, ScenarioOption
+from taxinet_ros.cli.show import print_json
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def compare(
             'weights_sha256': network.fingerprint, 'distance_offset_m': distance_offset,
             'sheet': str(path), 'made_on': dict(provenance()),
         }
-        print(json.dumps({**head, **comparison.to_dict()}, indent=2, allow_nan=False))
+        print_json({**head, **comparison.to_dict()})
         notes.print(f'sheet: {path}')
         return
     console = Console(highlight=False, soft_wrap=True)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.checked import check_output
 from taxinet_ros.cli.options import PicturesArgument, VariedOption, refuse_given
 from taxinet_ros.cli.show import line_console
+from taxinet_ros.files.outputs import check_output
 
 if TYPE_CHECKING:
     from taxinet_ros.training.options import TrainOptions

@@ -41,6 +41,7 @@ from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.extras.assurance.calibrate import REQUIREMENT
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.training.data.dataset import draw_scenes
@@ -224,14 +225,13 @@ class Beside:
     def values(self) -> dict[str, Any]:
         """Columns of a :class:`Trial`, and the first alarms; null is NaN."""
         alarm = self._alarm
-        found: dict[str, Any] = plain({
+        return plain({
             'duration_s': self._times_s[-1], 'due_s': due_s(self._times_s, self._cte_m),
             'reached': reached(self._times_s, self._cte_m), 'off_s': self._off_s,
             'alarm_s': math.nan if alarm is None else alarm.at_s,
             'reason': '' if alarm is None else alarm.reason,
-            'alarms_s': self._alarms_s.tolist(),
+            'alarms_s': self._alarms_s,
         })
-        return found
 
 
 @functools.lru_cache(maxsize=1)
@@ -628,23 +628,7 @@ def alarms_csv(driven: Iterable[Driven]) -> str:
 
 def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
     """Options, results and provenance for JSON; null is not known, not bounded, or no alarm."""
-    given = {**dataclasses.asdict(options), 'out': str(options.out)}
-    return {
-        'options': {**given, 'fingerprints': dict(options.fingerprints)},
-        'judged': plain(judged), 'stack': dict(provenance()),
-    }
-
-
-def plain(value: Any) -> Any:
-    """A value for JSON: dataclasses are objects; what is not finite is null."""
-    if isinstance(value, Rate):
-        return plain(value._asdict())
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {
-            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
-        }
-    if isinstance(value, Mapping):
-        return {name: plain(one) for name, one in value.items()}
-    if isinstance(value, tuple | list):
-        return [plain(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return plain({
+        'options': {**plain(options), 'fingerprints': options.fingerprints},
+        'judged': judged, 'stack': provenance(),
+    })

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
 from pathlib import Path
 
@@ -14,8 +12,8 @@ from rich.table import Table
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
-from taxinet_ros.cli.bag.input import readable_run
 from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.core.assurance.monitor import (
     SUSTAINED,
     Calibration,
@@ -41,6 +39,8 @@ from taxinet_ros.extras.assurance.judge import (
     plain_result,
 )
 from taxinet_ros.extras.assurance.recorded import judge_recording
+from taxinet_ros.files.plain_values import plain
+from taxinet_ros.trials.past_runs.repeated_run import readable_run
 from taxinet_ros.trials.rates import Rate
 
 _PAGE_WIDTH = 100
@@ -50,16 +50,15 @@ _OCTAVES = 2
 
 def print_calibration(found: Calibration, out: Path) -> None:
     """Print the thresholds of a calibration written to ``out``."""
-    console = _console()
+    console = line_console(width=_PAGE_WIDTH)
     console.print(
         f'{out}: thresholds of {found.runs:,} satisfied runs of {found.program}, seed '
         f'{found.seed}; of further ones at most {100 * found.rate:g} % raise an alarm on average '
         f'over calibrations, in 95 % of which each check does in at most '
         f'{100 * check_share(found):.2g} %',
-        soft_wrap=True,
     )
     for name, threshold in found.thresholds.items():
-        console.print(f'  {name}: above {threshold:.3g} for {SUSTAINED} frames', soft_wrap=True)
+        console.print(f'  {name}: above {threshold:.3g} for {SUSTAINED} frames')
 
 
 def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
@@ -77,13 +76,13 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
         judged = judge(options, show)
     code = ExitCode.INCOMPLETE if judged.unjudged else ExitCode.OK
     if as_json:
-        print(json.dumps(plain_result(options, judged), indent=2, allow_nan=False))
+        print_json(plain_result(options, judged))
         return code
-    console = _console()
+    console = line_console(width=_PAGE_WIDTH)
     for trouble in judged.unjudged:
-        console.print(f'left out, not judged: {trouble}', soft_wrap=True)
+        console.print(f'left out, not judged: {trouble}')
     for line in judged_lines(judged):
-        console.print(line, soft_wrap=True)
+        console.print(line)
     table = Table(box=None, pad_edge=False)
     table.add_column('fallback')
     for heading in ('satisfied', 'off the runway', 'rho 10, 50, 90 % [m]', 'mended', 'broken'):
@@ -96,13 +95,12 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
             name, _share(one.satisfied), _share(one.off), _numbers(one.rho_m),
             str(one.mended), str(one.broken),
         )
-    console.print(table)
+    console.print(table, soft_wrap=False)
     for name, one in judged.with_fallback.items():
-        console.print(f'{name}: {_ratio_words(one.off_ratio)}', soft_wrap=True)
+        console.print(f'{name}: {_ratio_words(one.off_ratio)}')
     picture = write_png(trade_picture(judged), options.out, LIGHT)
     console.print(
         f'{options.out}: {TRIALS_NAME}, {ALARMS_NAME}, {picture.name}, {RESULT_NAME}',
-        soft_wrap=True,
     )
     return code
 
@@ -133,21 +131,17 @@ def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: boo
             )
         found = judge_recording(recording, make_monitor(word))
     if as_json:
-        alarm = None if found.alarm is None else {
-            **dataclasses.asdict(found.alarm), 'at_s': found.alarm.at_s
-        }
-        largest = {name: x if math.isfinite(x) else None for name, x in found.largest.items()}
-        print(json.dumps(
-            {'monitor': word, 'alarm': alarm, 'largest': largest, 'steps': found.steps}, indent=2,
-        ))
+        alarm = found.alarm and {**plain(found.alarm), 'at_s': found.alarm.at_s}
+        print_json({
+            'monitor': word, 'alarm': alarm, 'largest': found.largest, 'steps': found.steps,
+        })
         return ExitCode.OK
-    console = _console()
+    console = line_console(width=_PAGE_WIDTH)
     console.print(
         f'monitor {word}: {found.alarm or "no alarm"}, {found.steps:,} steps judged',
-        soft_wrap=True,
     )
     for name, score in found.largest.items():
-        console.print(f'  {name}: at most {score:.2f} times its threshold', soft_wrap=True)
+        console.print(f'  {name}: at most {score:.2f} times its threshold')
     return ExitCode.OK
 
 
@@ -228,10 +222,3 @@ def _numbers(values: tuple[float, ...]) -> str:
     return ', '.join(
         '-' if math.isnan(x) else 'none' if math.isinf(x) else f'{x:.2f}' for x in values
     )
-
-
-def _console() -> Console:
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console.width = _PAGE_WIDTH
-    return console

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,6 +11,7 @@ import typer
 
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.show import print_json
 from taxinet_ros.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def write_evidence(
             localisations=localized or (), monitors=monitor_table or (), networks=perception or (),
         )
     if as_json:
-        print(json.dumps(found.content, indent=2, allow_nan=False))
+        print_json(found.content)
     else:
         _show(_evidence_lines(found, out))
     verdicts = {one['claim']['verdict'] for one in found.content['systems'] if one['claim']}
@@ -129,11 +129,11 @@ def verify_evidence(
             seed=seed, on_progress=show,
         )
     if as_json:
-        print(json.dumps({
-            'folder': str(folder), 'holds': found.holds, 'checked': found.checked,
+        print_json({
+            'folder': folder, 'holds': found.holds, 'checked': found.checked,
             'damaged': found.damaged, 'different': found.different,
             'unchecked': found.unchecked, 'notes': found.notes,
-        }, indent=2))
+        })
     else:
         _show(_verification_lines(found, folder))
         if found.damaged:

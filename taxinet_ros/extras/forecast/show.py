@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,10 +16,9 @@ from rich.console import Console
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.cli.bag.input import readable_bags
 from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.show import print_json
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.forecast.forecast import (
     STEP_S,
@@ -36,7 +34,9 @@ from taxinet_ros.extras.forecast.forecast import (
     write_forecast,
 )
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.trials.past_runs.repeated_run import readable_bags
 from taxinet_ros.trials.record.facts import is_campaign
 
 NO_GUARANTEE = 'no guarantee'
@@ -106,10 +106,8 @@ def check_forecast(
 
 def _coverage_json(one: Coverage) -> dict[str, Any]:
     return {
-        'confidence': one.confidence, 'held': plain_values(one.held._asdict()),
-        'held_if_violated': plain_values(one.held_if_failed._asdict()),
-        'cleared_s': one.cleared_s,
-        'wrongly_cleared': plain_values(one.wrongly_cleared._asdict()),
+        'confidence': one.confidence, 'held': one.held, 'held_if_violated': one.held_if_failed,
+        'cleared_s': one.cleared_s, 'wrongly_cleared': one.wrongly_cleared,
     }
 
 
@@ -154,14 +152,14 @@ def show_forecast(
 def _print(block: str, as_json: bool, values: Any, **more: Any) -> None:
     """Print values as JSON, or by a block of the template ``show.j2``."""
     if as_json:
-        print(json.dumps(values, indent=2, allow_nan=False))
+        print_json(values)
         return
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )
     macros = environment.get_template('show.j2').module
-    print(getattr(macros, block)(values, **more), end='')
+    print(getattr(macros, block)(plain(values), **more), end='')
 
 
 def _one_run(recording: Recording, run_id: str | None) -> Recording:
@@ -196,7 +194,7 @@ def _ending(final: float | None) -> str:
 def _run_json(
     recording: Recording, bounds: Sequence[Bound], confidence: float, outside: Sequence[str],
 ) -> dict[str, Any]:
-    return plain_values({
+    return {
         'run_id': recording.run_id, 'confidence': None if outside else confidence,
         'outside': list(outside),
         't_s': bounds[-1].t_s,
@@ -206,7 +204,7 @@ def _run_json(
             {'t_s': one.t_s, 'lower': one.lower, 'certain_upper': one.certain_upper}
             for one in bounds
         ],
-    })
+    }
 
 
 # Picture ----------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ from taxinet_ros.extras.tune.tuning import (
     varied_gains,
 )
 from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import json_text
 from taxinet_ros.trials.options import DEFAULT_ROOT
 from taxinet_ros.trials.past_runs.shared_scenes import scenes_of_program
 from taxinet_ros.trials.rates import rate
@@ -83,7 +83,7 @@ def run_tune(
     if tuned is None:
         console.print('interrupted; the same command goes on', soft_wrap=True)
         return ExitCode.INTERRUPTED
-    text = json.dumps(tuned_json(tuned, options), indent=2, allow_nan=False)
+    text = json_text(tuned_json(tuned, options))
     write_atomically(out / JSON_NAME, f'{text}\n')
     for line in (*tuned_lines(tuned, options), f'written: {out / JSON_NAME}'):
         console.print(line, soft_wrap=True)

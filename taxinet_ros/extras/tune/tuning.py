@@ -27,11 +27,11 @@ from taxinet_ros.analysis.experiment.pairs import (
     paired_rates,
     paired_shift,
 )
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, typed_gain
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.system import System
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.samplers.optuna_study import SEEDS, new_study, quiet
 from taxinet_ros.trials.past_runs.shared_scenes import Scene, SceneSet, trials_digest
 from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
@@ -460,7 +460,7 @@ def _key(gains: Gains, scene: Scene) -> str:
 
 def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
     """Plain values of a result."""
-    return plain_values({
+    return plain({
         'program': options.learning.source, 'perception': options.perception,
         'spec': options.learning.judging.headline, 'seed': options.seed,
         'varied': {one.name: [one.low, one.high] for one in options.varied},
@@ -474,7 +474,7 @@ def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
             'p_value': tuned.satisfied.p_value,
             'worst_before': min(tuned.before.values(), default=None),
             'worst_after': min(tuned.after.values(), default=None),
-            'rho_change': tuned.rho.change,
+            'rho_change': list(tuned.rho.change),
         },
     })
 

@@ -78,6 +78,22 @@ class Decision:
     satisfied_low: float
     worse: tuple[str, ...]
 
+    def lines(self) -> list[str]:
+        """What is printed of it."""
+        now = rate(self.pairs - self.failed_now, self.pairs)
+        change = f'{self.rho_change:+.3f}'
+        if not math.isnan(self.rho_low):  # else too few pairs for an interval
+            change += f' ({self.rho_low:+.3f} to {self.rho_high:+.3f})'
+        return [
+            f'  on {self.pairs} scenes new to both: {self.failed_before} failures before, '
+            f'{self.failed_now} now ({self.only_before} only before, {self.only_now} only now); '
+            f'{self.off_before} and {self.off_now} left the runway',
+            f'  now satisfied: {100 * now.rate:.1f} % ({100 * now.low:.1f}-{100 * now.high:.1f} '
+            f'%); rho {change}',
+            f'  failure rate higher by at most {100 * max(self.more_failures, 0):.1f} points',
+            f'  {"ACCEPTED" if self.accepted else "REJECTED"}: {self.why}',
+        ]
+
 
 def decide(
     before: Sequence[RunRow], now: Sequence[RunRow], alpha: float, *, margin: float = MARGIN,

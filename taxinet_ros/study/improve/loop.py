@@ -13,19 +13,20 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.causes.region import Region, part_of
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.perception.weights import card_path, load_model
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import make_atomically
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.improve.acceptance import Decision, decide
-from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
+from taxinet_ros.study.improve.options import COMMAND, FALSIFY, JUDGE, TRAIN, ImproveOptions
+from taxinet_ros.study.stages.record import read_options
 from taxinet_ros.study.stages.stage import Stage, analysis_stage, campaign_stage, training_stage
 from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.trials.record.row import RunRow
@@ -63,8 +64,32 @@ class Round:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values for the record, with None for numbers that are not finite."""
-        values = plain_values(asdict(self))
+        values = plain(self)
         return {'round': values.pop('number'), **values}
+
+    def lines(self, rounds: int) -> list[str]:
+        """What is printed of its findings and decision; ``rounds``: most rounds of the loop."""
+        lines = [
+            f'round {self.number} of {rounds}: {self.failed} of {self.searched} runs of the '
+            'search failed'
+        ]
+        lines += [f'  cause: {words}' for words in self.causes]
+        lines += [f'  cluster: {words}' for words in self.clusters]
+        if self.decision is None:
+            return [*lines, '  no failures to learn from; a larger --budget may find more']
+        return [*lines, *self.decision.lines()]
+
+
+def resumed(out: Path, workers: int) -> ImproveOptions:
+    """The options of the loop in a folder, to go on with.
+
+    Raises:
+        UsageError: there is none.
+    """
+    values = read_options(out, COMMAND, '--resume')
+    options = ImproveOptions(**{**values, 'add': tuple(values['add']), 'workers': workers})
+    start = out / START
+    return replace(options, start=str(start)) if start.exists() else options
 
 
 def improve_network(

@@ -21,6 +21,8 @@ _LIMITS: dict[str, tuple[float, float]] = {
     'place_margin': (1e-4, 0.5), 'seed': (0, 10**12), 'workers': (1, 64),
 }
 
+COMMAND = 'improve'
+"""The command, by which a record names its study."""
 FALSIFY, TRAIN, JUDGE = range(3)
 """Purposes of a seed."""
 
@@ -119,4 +121,3 @@ def _absolute_program(program: str) -> str:
     """A program's word, or its path made absolute."""
     path = find_program(program)
     return program if program in known_programs() else str(path.resolve())
-

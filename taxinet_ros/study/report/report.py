@@ -15,10 +15,10 @@ from taxinet_ros.analysis.experiment.arms import paired_arms
 from taxinet_ros.analysis.experiment.report import arms_picture
 from taxinet_ros.analysis.report.parts import Column, Picture, Report, Table
 from taxinet_ros.analysis.report.text import fill_report
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically, write_parquet
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
 from taxinet_ros.study.report.figures import (
     day_pictures,
@@ -42,11 +42,12 @@ from taxinet_ros.study.report.tables import (
     stages_frame,
     table_of,
 )
-from taxinet_ros.study.stages.config import StudyConfig
-from taxinet_ros.study.stages.plan import PAPER_RULE, REPORT, stages
+from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config
+from taxinet_ros.study.stages.plan import COMMAND, PAPER_RULE, REPORT, read_study, stages
 from taxinet_ros.study.stages.progress import clock, rough_duration
 from taxinet_ros.study.stages.record import read_stages
 from taxinet_ros.trials.experiment import arm_rows, find_experiment, read_experiment
+from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.version import __version__
 
 TEXT = Path(__file__).with_name('page.j2')
@@ -89,6 +90,31 @@ class StudyFindings:
         }
 
 
+def report_case_study(
+    out: Path | None, *, config: Path | None = None, tables: Path | None = None
+) -> list[str]:
+    """Write the report of the stages done in a folder, or of tables into a new one.
+
+    Args:
+        out: folder of the study.
+        config: configuration of the tables' study; None for the shipped one.
+        tables: folder of the tables, or None.
+
+    Returns:
+        Lines to print, as of :func:`write_study_report`.
+
+    Raises:
+        UsageError: bad input.
+    """
+    if tables is not None:
+        out = out or new_folder(DEFAULT_ROOT / COMMAND)
+        check_new(out)
+        return write_study_report(read_config(config or shipped_config()), out, tables)
+    if out is None:
+        raise UsageError('--report-only: name the case study with --out')
+    return write_study_report(read_study(out, '--report-only'), out)
+
+
 def write_study_report(
     config: StudyConfig, out: Path, tables: Path | None = None
 ) -> list[str]:
@@ -106,8 +132,7 @@ def write_study_report(
         UsageError: no network has been evaluated, or a file of the study is damaged.
         OSError: a file cannot be written.
     """
-    from taxinet_ros.analysis.report.page import write_report_page
-    from taxinet_ros.analysis.report.pictures import write_pictures
+    from taxinet_ros.analysis.report.page import write_report
 
     found = gather_findings(config, out, tables)
     folder = out / REPORT
@@ -118,8 +143,7 @@ def write_study_report(
     for name, frame in found.frames().items():
         write_parquet(folder / f'{name}.parquet', frame)
     report = study_report(found)
-    write_pictures(report, folder)
-    write_report_page(report, folder / PAGE_NAME)
+    write_report(report, folder / PAGE_NAME)
     text = json.dumps(study_values(found), indent=2, allow_nan=False, ensure_ascii=False)
     write_atomically(folder / JSON_NAME, text + '\n')
     claims = [f'{claim.name}: {claim.sentence()}' for claim in found.claims] if tables else []
@@ -278,7 +302,7 @@ def _wall(line: Mapping[Hashable, Any]) -> str:
 
 def study_values(found: StudyFindings) -> dict[str, Any]:
     """The findings as plain values; shares are fractions, unknown values None."""
-    return plain_values({
+    return plain({
         'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
         'made_on': dict(provenance()),
         'config': dataclasses.asdict(found.config), 'summary': list(study_report(found).summary),

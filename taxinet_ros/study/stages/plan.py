@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.study.stages.config import StudyConfig
+from taxinet_ros.study.stages.config import StudyConfig, study_of
+from taxinet_ros.study.stages.record import read_options
 from taxinet_ros.study.stages.stage import (
     Resume,
     Stage,
@@ -17,6 +18,8 @@ from taxinet_ros.study.stages.stage import (
 )
 from taxinet_ros.trials.record.table import PARQUET_NAME
 
+COMMAND = 'case-study'
+"""The command, by which a record names its study."""
 ORIGINAL, GENERIC, HALTON, SPECIALISED = 'original', 'generic', 'halton', 'specialised'
 ITERATIVE = ('iterative-generic', 'iterative-crossing', 'iterative-learned')
 BEST = 'best'
@@ -28,6 +31,11 @@ PAPER_RULE = 'ce-verifai'
 FALSIFY, ANALYZE, LOCALIZE, REPORT = (
     'falsify-original', 'analyze-original', 'localize-original', 'report'
 )
+
+
+def read_study(out: Path, option: str) -> StudyConfig:
+    """The configuration of the case study in a folder; arguments and errors as of read_options."""
+    return study_of(read_options(out, COMMAND, option))
 
 
 def campaign_of(network: str) -> str:

@@ -149,3 +149,20 @@ def read_options(out: Path, command: str, option: str) -> dict[str, Any]:
         )
     return dict(found[command])
 
+
+def claim_study(record: Record, command: str, about: Mapping[str, Any]) -> None:
+    """Note what a new record is about, or check that it is about this.
+
+    Args:
+        record: the open record.
+        command: the study's command.
+        about: its subject, as options.
+
+    Raises:
+        UsageError: it is about something else.
+    """
+    before = record.entries.get(OPTIONS, {})
+    if before.get(command, about) != about or (not before and record.entries.keys() - {STAGE}):
+        raise UsageError(
+            f'--out {record.path.parent}: is about something else; choose another folder')
+    record.put(OPTIONS, command, about)

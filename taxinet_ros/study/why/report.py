@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.report.parts import Cell, Column, Report, Section, Table
 from taxinet_ros.analysis.report.text import fill_report, p_words
-from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.files.plain_values import plain
 from taxinet_ros.study.why.plan import MOST_CAUSES, confirm_name, explain_name
 from taxinet_ros.study.why.verdict import (
     CauseEvidence,
@@ -117,14 +117,16 @@ def _links(out: Path, pages: Mapping[str, str]) -> list[tuple[str, str]]:
 
 def why_json(evidence: Evidence, verdict: Verdict, todo: Sequence[Section]) -> dict[str, Any]:
     """Everything as plain values."""
-    return plain_values({
+    return plain({
         'verdict': verdict.fault.value, 'sentences': list(verdict.sentences),
         'subject': evidence.subject, 'network': evidence.network,
         'controller': evidence.controller, 'spec': evidence.spec, 'judged': evidence.judged,
         'failed': evidence.failed, 'without_verdict': dict(evidence.others),
         'rate': evidence.rate, 'searched': evidence.searched,
-        'blames': None if evidence.blames is None else asdict(evidence.blames),
-        'causes': [_cause_json(cause) for cause in evidence.causes],
+        'blames': evidence.blames,
+        'causes': [
+            {**plain(cause), 'confirmed': cause.confirmed} for cause in evidence.causes
+        ],
         'shrunk': list(evidence.shrunk), 'unsatisfiable': evidence.unsatisfiable,
         'not_done': dict(evidence.troubles),
         'to_do': [
@@ -132,10 +134,3 @@ def why_json(evidence: Evidence, verdict: Verdict, todo: Sequence[Section]) -> d
         ],
         'made_on': dict(provenance()),
     })
-
-
-def _cause_json(cause: CauseEvidence) -> dict[str, Any]:
-    values = asdict(cause)
-    for name in ('bag', 'program'):
-        values[name] = None if values[name] is None else str(values[name])
-    return {**values, 'confirmed': cause.confirmed}

@@ -26,7 +26,9 @@ from taxinet_ros.analysis.runs.campaign import holm
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.registry import KMWH
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 from taxinet_ros.trials.rates import Rate, rate
+from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.run_command import RunSettings
 
 _FOLDER = Path(__file__).parent
@@ -299,6 +301,26 @@ def actions(
     return tuple(
         replace(section, name=f'todo-{number}', heading='And then' if number > 1 else 'What to do')
         for number, section in enumerate(found.sections, 1)
+    )
+
+
+def todo_of(evidence: Evidence, verdict: Verdict, path: Path, kind: str) -> tuple[Section, ...]:
+    """What to do; paths below the current folder are as one would type them.
+
+    Args:
+        evidence: the evidence.
+        verdict: the verdict on it.
+        path: the subject.
+        kind: ``campaign`` or ``run``.
+    """
+    folder = path if kind == 'campaign' else path.parent
+    campaign = open_campaign(folder) if is_campaign(folder) else None
+    kept = campaign is not None and any(map(campaign.bag, campaign.counterexamples))
+    here = f'{Path.cwd()}/'
+    return tuple(
+        replace(one, commands=tuple(line.replace(here, '') for line in one.commands))
+        for one in actions(
+            evidence, verdict.fault, campaign=None if campaign is None else folder, kept_bags=kept)
     )
 
 

@@ -25,17 +25,29 @@ from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import write_tables
 
 
-def campaign_bags(folder: Path) -> list[Path]:
-    """The bags in a campaign's folder: one per recorded run that has one, by index.
+def bags_at(place: Path) -> list[Path]:
+    """The bags at a path: itself, or those of the runs in a campaign's folder, by index.
 
     Without a record: every subfolder with an ``.mcap`` file, by name.
 
     Raises:
-        UsageError: the record is damaged.
+        UsageError: there is none, or the record is damaged.
     """
-    if is_campaign(folder):
-        return [folder / row.bag for row in read_campaign(folder).rows if row.bag]
-    return sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')})
+    if place.is_file():
+        return [place]
+    if not place.is_dir():
+        raise UsageError(f'{place}: no such bag; give a run folder, an .mcap file or a campaign')
+    # Compressed bags and other storage formats are refused by name.
+    if any(path for kind in (f'*.{STORAGE_ID}*', '*.db3') for path in place.glob(kind)):
+        return [place]
+    if is_campaign(place):
+        bags = [place / row.bag for row in read_campaign(place).rows if row.bag]
+    else:
+        bags = sorted({file.parent for file in place.glob(f'*/*.{STORAGE_ID}')})
+    if not bags:
+        what = 'none of its runs left a bag' if is_campaign(place) else 'holds no bag'
+        raise UsageError(f'{place}: {what}')
+    return bags
 
 
 def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:

@@ -32,6 +32,7 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.scenes.source import Rejected, SceneSource
+from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.past_runs.judged_run import find_run
 from taxinet_ros.trials.past_runs.recorded_campaign import (
     RecordedCampaign,
@@ -272,6 +273,22 @@ def scenes_of_program(
     )
 
 
+def scenes_of_options(options: CampaignOptions) -> SceneSet:
+    """Fresh scenes of the program of options, with the system that they ask for.
+
+    Raises:
+        UsageError: as :func:`scenes_of_program`.
+    """
+    scenes = scenes_of_program(
+        options.program, runs=options.runs, seed=options.seed, judging=options.judging,
+        overrides=options.overrides,
+    )
+    return dataclasses.replace(scenes, system=dataclasses.replace(
+        scenes.system, gains=options.gains, controller=options.controller, timing=options.timing,
+        world=options.world, world_sha256=find_world(options.world).fingerprint,
+    ))
+
+
 class SharedTrials(TrialRecord):
     """Runs of several networks on the same scenes, recorded in a folder. A context manager."""
 
@@ -304,6 +321,7 @@ class SharedTrials(TrialRecord):
         Raises:
             UsageError: there is no such network.
             InfraError: worker processes end one after the other.
+            KeyboardInterrupt: interrupted, with wanted runs left.
         """
         fingerprint, system = check_perception(network), self.scenes.system_with(network)
         self.make({
@@ -311,7 +329,11 @@ class SharedTrials(TrialRecord):
             for scene in self.scenes.scenes
             if (name := scene.row.run_id) and (wanted is None or name in wanted)
         }, workers, on_trial, interrupted)
-        return self._results(network)
+        done = self._results(network)
+        names = {scene.row.run_id for scene in self.scenes.scenes} if wanted is None else {*wanted}
+        if interrupted() and names - done.keys():
+            raise KeyboardInterrupt
+        return done
 
     def _results(self, network: str) -> dict[str, Trial]:
         fingerprint, known = check_perception(network), self.done

@@ -10,6 +10,9 @@ from rich.text import Text
 
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.trials.engine import Engine
+from taxinet_ros.trials.options import AUDIT
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.run_command import RunSettings
 from taxinet_ros.trials.shrink.algorithm import End, Point, State
@@ -94,6 +97,33 @@ def make_report(shrinking: Shrinking) -> Report:
         original=shrinking.judged.get(search.start), nominal=shrinking.judged.get(search.origin),
         shrunk=shrinking.judged.get(state.at),
         dry=space.original.rain_fraction > 0 and space.nominal.clouds not in RAIN_CLOUDS,
+    )
+
+
+def check_run(engine: Engine[Shrinking], found: Report) -> None:
+    """Check that the runs have a result, and that the original one failed again.
+
+    Raises:
+        InfraError: the test bench failed.
+        UsageError: the run does not fail again.
+    """
+    if (row := engine.broken) is not None:
+        often = '' if row.kind == AUDIT else 'twice '
+        detail = (
+            f'{row.detail or row.outcome} ({often}in run {row.run_id}; continue with --resume)'
+        )
+        raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
+    if found.state.end is not End.NOT_REPRODUCED:
+        return
+    shrinking = engine.proposer
+    assert found.original is not None
+    name = shrinking.headline
+    interval = shrinking.run.robustness.get(name)
+    before = f', recorded as {interval.bound_words().removeprefix("rho ")}' if interval else ''
+    raise UsageError(
+        f'{shrinking.run.run_id}: not reproduced: on rerun, {name} has rho '
+        f'{found.original.rho[name]:+.2f}{before}; was it recorded with another version, '
+        'perception or gains?'
     )
 
 

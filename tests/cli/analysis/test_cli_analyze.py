@@ -109,11 +109,9 @@ def test_given_bad_input_then_one_line_says_so(folder, monkeypatch, capsys, word
 
 
 def test_given_json_when_asked_then_only_that_is_printed(folder, monkeypatch, capsys):
-    from taxinet_ros.analysis.campaign import folder as analysis_folder
     from taxinet_ros.analysis.report import page as report_page
 
-    monkeypatch.setattr(analysis_folder, 'write_pictures', lambda *_: [])
-    monkeypatch.setattr(report_page, 'write_report_page', lambda *_, **__: None)
+    monkeypatch.setattr(report_page, 'write_report', lambda *_, **__: [])
     monkeypatch.chdir(folder)
     monkeypatch.setenv(HEARTBEAT, '1e-9')
     monkeypatch.setattr(sys, 'argv', [

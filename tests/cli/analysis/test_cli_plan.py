@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.analysis.gate import GateOptions, Look, Verdict, gate_result
+from taxinet_ros.analysis.gate.criteria import GateOptions, Look, Verdict, gate_result
 from taxinet_ros.analysis.plan import Claim, hopeless, plan_claim
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario

@@ -27,11 +27,10 @@ from taxinet_ros.analysis.causes.program import (
 from taxinet_ros.analysis.causes.region import Interval, Region
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.study.why import _actions
 from taxinet_ros.scenes.source import sample_scenarios
 from taxinet_ros.study.why.investigation import Investigation, _of_runs
 from taxinet_ros.study.why.plan import Budget
-from taxinet_ros.study.why.verdict import Blames, CauseEvidence, judge
+from taxinet_ros.study.why.verdict import Blames, CauseEvidence, judge, todo_of
 from taxinet_ros.training.data.dataset import draw_scenes
 from taxinet_ros.training.data.photographs import photograph
 from taxinet_ros.training.data.portions import parse_portion
@@ -119,7 +118,7 @@ def test_the_commands_of_why_and_analyze_have_everything_that_decided_the_runs(
     found = replace(
         found, blames=Blames(network=2), causes=(cause,), base=work._base(runs.scenes))
     (train,), (compare,) = (
-        one.commands for one in _actions(found, judge(found), tmp_path / 'found', 'campaign'))
+        one.commands for one in todo_of(found, judge(found), tmp_path / 'found', 'campaign'))
 
     # The pictures that are trained on are of the scenes that failed.
     added = parse_portion(again(train)[again(train).index('--add') + 1], 'program')

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from studies import asked, run_study, sittings_of, smoke_config, stand_in
 
-from taxinet_ros.cli.study.case_study import run_case_study
+from taxinet_ros.cli.study.case_study import case_study
 from taxinet_ros.errors import InfraError, RecordError, UsageError
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.plan import stages
@@ -298,11 +298,11 @@ def test_f1_given_a_full_disk_at_the_first_file_then_the_error_names_it(tmp_path
     with monkeypatch.context() as full:
         full.setattr('taxinet_ros.files.record.Record.put', refuse)
         with pytest.raises(OSError, match='No space left'):
-            run_case_study(out=out, scale=0.005)
+            case_study(None, out=out, scale=0.005)
     monkeypatch.setattr(StudyRun, 'run', lambda run: None)
     with pytest.raises(UsageError, match=r'--resume: .*: no study of taxinet case-study'):
-        run_case_study(out=out, resume=True)
-    assert run_case_study(out=tmp_path / 'other', scale=0.005) == 0
+        case_study(None, out=out, resume=True)
+    assert case_study(None, out=tmp_path / 'other', scale=0.005) == 0
 
 
 @pytest.mark.parametrize('how', ['refused', 'broken', 'code'])

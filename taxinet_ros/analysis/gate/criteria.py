@@ -1,4 +1,4 @@
-"""Release gate: check acceptance thresholds on a campaign's runs; verdicts and JUnit XML.
+"""Acceptance thresholds on a campaign's runs: criteria, verdicts, and why.
 
 A share of runs is only known within an interval, so there are three verdicts. PASS: the relevant
 bound of the interval clears the threshold. FAIL: the whole interval is beyond it. INCONCLUSIVE: the
@@ -15,27 +15,19 @@ runs count.
 ``Look.PLANNED`` spends all of it on the planned number of runs, and says nothing at any other;
 ``Look.SEQUENTIAL`` follows the runs in their order and stands by the first decision of a sequential
 test (:mod:`taxinet_ros.trials.sequential`), which ``falsify --until`` may have stopped at.
-
-The JUnit format is that of Ant's reports as read by Jenkins, GitLab and others: a ``testsuite``
-with ``properties`` and ``testcase`` elements; a test case with a ``failure`` or ``skipped`` child
-has not passed. A criterion is a test case: a run that violates its requirement is no failure of the
-gate as long as the share of such runs is small enough.
 """
 
 from __future__ import annotations
 
 import enum
 import math
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, NamedTuple, Self
 
-from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.provenance import words
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import (
@@ -49,9 +41,7 @@ from taxinet_ros.trials.rates import (
     rate_of,
     share_bounds,
 )
-from taxinet_ros.trials.record.facts import recorded_stacks
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.run_command import RunSettings
 from taxinet_ros.trials.sequential import (
     MAX_OFF_RUNWAY,
     MIN_SATISFACTION,
@@ -62,6 +52,10 @@ from taxinet_ros.trials.sequential import (
     sequential_test,
 )
 
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.gate.baseline import AgainstBaseline
+
+_TEXT = Path(__file__).with_name('gate.j2')
 _SATISFIED = 'satisfied'
 MOST_RUNS = 10**7
 """Maximum number of additional runs suggested."""
@@ -84,6 +78,17 @@ class Look(enum.StrEnum):
     """The planned number of runs alone."""
     SEQUENTIAL = 'sequential'
     """Every run in turn, up to the first decision."""
+
+    @classmethod
+    def of(cls, *, planned: bool, sequential: bool) -> Self:
+        """The one that the options of the command ask for.
+
+        Raises:
+            UsageError: both do.
+        """
+        if planned and sequential:
+            raise UsageError('gate: --planned and --sequential do not go together; leave one out')
+        return cls('planned' if planned else 'sequential' if sequential else 'any')
 
 
 class Verdict(enum.StrEnum):
@@ -116,7 +121,7 @@ class GateOptions:
         design: with a sequential test and one threshold, the share that the system is designed
             for, in the words of the threshold; or None.
         margin: with a baseline, the loss against it up to which a system counts as no worse, as a
-            share of scenes (:mod:`taxinet_ros.analysis.campaign.baseline`); None: no baseline.
+            share of scenes (:mod:`taxinet_ros.analysis.gate.baseline`); None: no baseline.
     """
 
     min_satisfaction: float | None = None
@@ -221,6 +226,7 @@ class GateResult:
         judged: runs with a verdict.
         effective: runs drawn by the program itself, from which shares are estimated.
         notes: further remarks.
+        baseline: the comparison with a baseline, or None.
     """
 
     verdict: Verdict
@@ -229,6 +235,7 @@ class GateResult:
     judged: int
     effective: int
     notes: tuple[str, ...]
+    baseline: AgainstBaseline | None = None
 
 
 def gate_result(
@@ -358,15 +365,20 @@ def _criterion(
     else:
         verdict = Verdict.INCONCLUSIVE
         more = None if planned else further_runs(good, threshold, options.confidence)
-    name, shown, limit = _SATISFIED, found, threshold
+    name, limit = _SATISFIED, threshold
     if off:
-        shown = Bounds(1 - found.share, 1 - found.high, 1 - found.low)
         name, limit = 'off the runway', options.max_off_runway or 0.0
+    shown, once = (
+        _shown(one, off=off) for one in (found, bounds(good, options.confidence, Look.PLANNED)))
     sign = '<=' if off else '>='
     return Criterion(
         kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {limit:g}', verdict=verdict, bounds=shown, more_runs=more,
-        sentence=_sentence(name, shown, good, options, verdict, more),
+        sentence=macro_text(
+            _TEXT, 'share', good=good, shown=shown, once=once, name=name,
+            confidence=options.confidence, look=options.look, more=more,
+            undecided=verdict is Verdict.INCONCLUSIVE,
+        ),
     )
 
 
@@ -383,31 +395,9 @@ def _sequential(
     return Criterion(
         kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {test.shown(test.limit):g}, sequential', verdict=verdict,
-        course=found, test=test, sentence=_sequential_sentence(found, good, test, name),
+        course=found, test=test,
+        sentence=macro_text(_TEXT, 'sequential', found=found, good=good, test=test, name=name),
     )
-
-
-def _sequential_sentence(
-    found: Course, good: ProgramRate, test: SequentialTest, name: str
-) -> str:
-    if not good.runs:
-        return 'no run was judged'
-    if not good.drawn:
-        return good.why_not
-    shown = found.bad if test.criterion == MAX_OFF_RUNWAY else found.runs - found.bad
-    seen = f'{shown:,} of {found.runs:,} runs are {name}'
-    sure = f'with {100 * test.confidence:g} % confidence'
-    if found.decision is None:
-        return f'not decided yet: {seen}; go on: taxinet falsify --resume --until {test}'
-    at = f'decided by run {found.index}: {seen}'
-    if found.decision is Decision.BELOW_DESIGN:
-        assert test.design is not None
-        return (
-            f'{at}; {sure} not as good as the design, {test.shown(test.design):g}; whether the '
-            'threshold is met stays open'
-        )
-    meets = 'meets' if found.decision is Decision.PASS else 'misses'
-    return f'{at}; {sure} the system {meets} the threshold'
 
 
 def _stop_notes(
@@ -443,63 +433,14 @@ def _stop_notes(
     return notes
 
 
-def _sentence(
-    name: str, shown: Bounds, good: ProgramRate, options: GateOptions, verdict: Verdict,
-    more: int | None,
-) -> str:
-    if options.look is Look.PLANNED and (good.anytime or not good.runs):
-        return (
-            f'{good.drawn:,} runs are not the number that was planned before the first one, so '
-            'there is no planned look; leave --planned out'
-        )
-    if not good.runs:
-        needed = f': {more:,} runs, all good, would suffice' if more else ''
-        return f'no run was judged{needed}'
-    if not good.drawn:
-        return good.why_not
-    text = (
-        f'{_percent(shown.share)} of {good.drawn:,} runs are {name}: at least '
-        f'{_percent(shown.low)} and at most {_percent(shown.high)} '
-        f'({_confidence_words(name, good, options)})'
-    )
-    if verdict is not Verdict.INCONCLUSIVE:
-        return text
-    if options.look is Look.PLANNED:
-        return f'{text}; more runs would need another campaign, or no --planned'
-    return f'{text}; {further_words(good, more)}'
-
-
-def _confidence_words(name: str, good: ProgramRate, options: GateOptions) -> str:
-    """Confidence of both bounds, and what they would be for a single look."""
-    if options.look is Look.PLANNED:
-        return f'{100 * options.confidence:g} % one-sided each, as you look once'
-    each = f'{50 * (1 + options.confidence):g} % one-sided each'
-    if good.anytime:
-        return f'{each}, at any number of runs, as you may look again'
-    once = bounds(good, options.confidence, Look.PLANNED)
-    low, high = (once.low, once.high) if name == _SATISFIED else (1 - once.high, 1 - once.low)
-    return (
-        f'{each}, as you may look again; if you look once, --planned: {_percent(low)} and '
-        f'{_percent(high)}'
-    )
+def _shown(found: Bounds, *, off: bool) -> Bounds:
+    """Bounds of good runs in the words of a criterion, which may limit the others."""
+    return Bounds(1 - found.share, 1 - found.high, 1 - found.low) if off else found
 
 
 def further_words(good: ProgramRate, more: int | None) -> str:
     """How many further runs would decide, of :func:`further_runs`."""
-    if more is None:
-        return 'too close to the threshold for any realistic number of runs'
-    if good.drawn_hits == good.drawn:
-        return f'{more:,} more runs needed, without a failure'
-    return f'about {_rounded(more):,} more runs needed if the share stays the same'
-
-
-def _percent(share: float) -> str:
-    return f'{100 * share:.2f} %'
-
-
-def _rounded(number: int) -> int:
-    """A number rounded to two significant digits."""
-    return int(float(f'{number:.1e}'))
+    return macro_text(_TEXT, 'further', good=good, more=more)
 
 
 def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
@@ -532,177 +473,3 @@ def _notes(counts: Mapping[Outcome, int], found: ProgramRate, planned: int) -> l
             f'{found.runs} runs drawn by the program itself'
         )
     return notes
-
-
-# Char of XML 1.0 (fifth edition, production 2), negated.
-_ILLEGAL = re.compile('[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
-_GATE = 'gate'
-_MOST_TOLD = 10
-"""Maximum number of runs in the text of a failure; its properties have all."""
-
-
-def junit_xml(
-    rows: Sequence[RunRow], answer: GateResult, folder: Path, facts: Mapping[str, Any], *,
-    inconclusive_passes: bool, documents: Path = Path(), table: Path | None = None,
-) -> bytes:
-    """The report as a UTF-8 document: a test case for each criterion, the runs as properties.
-
-    The suite has a property for every run, a criterion's case one for every run that speaks against
-    it, with the command that runs it again. A case that has not passed says the figures, these runs
-    and the next command.
-
-    Args:
-        rows: the campaign's runs.
-        answer: result of the gate.
-        folder: the campaign's folder, for commands.
-        facts: facts of the campaign.
-        inconclusive_passes: an undecided criterion is skipped, not a failure.
-        documents: folder of the files of :func:`rerun_documents`.
-        table: the runs' table, which ``taxinet analyze`` takes; or None.
-    """
-    suite = ElementTree.Element('testsuite', {'name': _text(folder.resolve().name)})
-    _add_properties(suite, answer, rows, {
-        **facts, **({} if table is None else {'table': table}),
-    })
-    for criterion in answer.criteria:
-        against = {
-            row.run_id: (_result_words(row), _again(row, folder, facts, documents))
-            for row in sorted(rows, key=_headline_rho) if speaks_against(row, criterion)
-        }
-        _add_criterion(suite, criterion, against, passes=inconclusive_passes)
-    totals = {
-        'tests': len(suite.findall('testcase')), 'failures': len(suite.findall('*/failure')),
-        'errors': 0, 'skipped': len(suite.findall('*/skipped')),
-    }
-    times = {'time': f'{sum(row.wall_s for row in rows):.3f}'}
-    suite.attrib.update({name: str(number) for name, number in totals.items()} | times)
-    root = ElementTree.Element('testsuites', {**suite.attrib, 'name': 'taxinet'})
-    root.append(suite)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
-
-
-def speaks_against(row: RunRow, criterion: Criterion) -> bool:
-    """Whether a run is one of those that a criterion limits the number of."""
-    if criterion.kind is Kind.BASELINE:
-        return row.run_id in criterion.against
-    if criterion.kind is Kind.OFF_RUNWAY:
-        return bool(row.left_runway)
-    if criterion.kind is Kind.BROKEN:
-        return row.outcome is Outcome.INFRA_ERROR
-    return row.outcome is Outcome.FAIL
-
-
-def rerun_command(
-    row: RunRow, folder: Path, facts: Mapping[str, Any], documents: Path = Path()
-) -> str:
-    """Command to rerun a run, bit-exact if its bag exists; '' if its graph is not known.
-
-    Args:
-        row: row of the run.
-        folder: folder of its campaign.
-        facts: facts of its campaign.
-        documents: folder of the files of :func:`rerun_documents`.
-    """
-    if row.bag:
-        return shlex.join(['taxinet', 'run', '--from', str(folder / row.bag)])
-    return _settings(row, facts).command('nominal', folder=documents) if row.perception else ''
-
-
-def rerun_documents(rows: Sequence[RunRow], facts: Mapping[str, Any]) -> dict[str, str]:
-    """Text by file name of the documents that the commands of :func:`junit_xml` read."""
-    return {
-        name: text for row in rows if row.outcome is Outcome.FAIL and row.perception and not row.bag
-        for name, text in _settings(row, facts).documents().items()
-    }
-
-
-def _settings(row: RunRow, facts: Mapping[str, Any]) -> RunSettings:
-    return replace(
-        RunSettings.from_facts(facts), perception=row.perception, values=row.scene,
-        timing=parse_timing(row.timing).of_run(row.seed, row.index),
-    )
-
-
-def _add_properties(
-    suite: ElementTree.Element, answer: GateResult, rows: Sequence[RunRow],
-    facts: Mapping[str, Any],
-) -> None:
-    names = (
-        'taxinet_ros_version', 'program', 'program_sha256', 'seed', 'sampler', 'perception',
-        'perception_sha256', 'controller', 'controller_sha256', 'timing', 'baseline', 'table',
-    )
-    values = {name: facts[name] for name in names if name in facts} | {
-        **{f'stack_{name}': words(one) for name, one in recorded_stacks(facts).items()},
-        'gate': answer.verdict.value, 'judged': answer.judged,
-        **{outcome.value: count for outcome, count in answer.counts.items()},
-        **{f'note_{number}': note for number, note in enumerate(answer.notes, 1)},
-        **{f'run {row.run_id}': f'{row.outcome}: {_result_words(row)}'.removesuffix(': ')
-           for row in rows},
-    }
-    _add_values(suite, values)
-
-
-def _add_values(parent: ElementTree.Element, values: Mapping[str, Any]) -> None:
-    properties = ElementTree.SubElement(parent, 'properties')
-    for name, value in values.items():
-        attributes = {'name': _text(name), 'value': _text(value)}
-        ElementTree.SubElement(properties, 'property', attributes)
-
-
-def _add_criterion(
-    suite: ElementTree.Element, criterion: Criterion, against: Mapping[str, tuple[str, str]], *,
-    passes: bool,
-) -> None:
-    """Add a test case; ``against`` has result and command by run, the worst first."""
-    attributes = {'classname': _GATE, 'name': _text(criterion.name), 'time': '0'}
-    case = ElementTree.SubElement(suite, 'testcase', attributes)
-    if against:
-        _add_values(case, {
-            f'run {run_id}': '; '.join(filter(None, told)) for run_id, told in against.items()
-        })
-    if criterion.verdict is Verdict.PASS:
-        ElementTree.SubElement(case, 'system-out').text = _text(criterion.sentence)
-        return
-    skipped = passes and criterion.verdict is Verdict.INCONCLUSIVE
-    message = f'{criterion.verdict}: {criterion.sentence}'
-    kind = {} if skipped else {'type': criterion.verdict.value}
-    found = ElementTree.SubElement(
-        case, 'skipped' if skipped else 'failure', {'message': _text(message), **kind})
-    lines = [message, *(f'{run_id}: {told}' for run_id, (told, _) in against.items())]
-    if len(against) > _MOST_TOLD:
-        lines[_MOST_TOLD + 1:] = [f'and {len(against) - _MOST_TOLD} more, in the properties']
-    lines += [again for _, again in against.values() if again][:1]
-    if criterion.next:
-        lines.append(f'next: {criterion.next}')
-    found.text = _text('\n'.join(lines))
-
-
-def _again(row: RunRow, folder: Path, facts: Mapping[str, Any], documents: Path) -> str:
-    """The command that runs a violated run again, with a word before it; ''."""
-    command = ''
-    if row.outcome is Outcome.FAIL:
-        command = rerun_command(row, folder, facts, documents)
-    return f'run {row.run_id} again: {command}' if command else ''
-
-
-def _headline_rho(row: RunRow) -> float:
-    return next((low for low, _ in row.robustness.values()), math.inf)
-
-
-def _result_words(row: RunRow) -> str:
-    if row.outcome.judged:
-        return _rho_words(row) + (', off the runway' if row.left_runway else '')
-    return ' '.join(word for word in (row.kind, row.who, row.detail) if word)
-
-
-def _rho_words(row: RunRow) -> str:
-    return ', '.join(
-        f'{name}: rho {low:+.3f}' if low == high else f'{name}: rho {low:+.3f} to {high:+.3f}'
-        for name, (low, high) in row.robustness.items()
-    )
-
-
-def _text(value: Any) -> str:
-    """``value`` as text with U+FFFD for each character that XML 1.0 does not have."""
-    return _ILLEGAL.sub('\ufffd', str(value))

@@ -31,7 +31,7 @@ from scipy.stats import binom
 
 from taxinet_ros.analysis.campaign.compared import Compared, compared
 from taxinet_ros.analysis.experiment.pairs import PairedRates
-from taxinet_ros.analysis.gate import MOST_RUNS, Bounds, Criterion, Kind, Verdict
+from taxinet_ros.analysis.gate.criteria import MOST_RUNS, Bounds, Criterion, Kind, Verdict
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import scene_columns
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
@@ -102,7 +102,7 @@ def further_scenes(rates: PairedRates, margin: float, confidence: float) -> int 
 
     Returns:
         0 if the judged pairs alone would do; None if more than
-        :data:`~taxinet_ros.analysis.gate.MOST_RUNS` would be needed.
+        :data:`~taxinet_ros.analysis.gate.criteria.MOST_RUNS` would be needed.
     """
     pairs = max(rates.pairs, 1)
 

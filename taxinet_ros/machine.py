@@ -1,4 +1,4 @@
-"""``taxinet doctor`` without a folder: whether this machine has what taxinet_ros needs.
+"""Whether this machine has what taxinet_ros needs: ``taxinet doctor`` without a folder.
 
 Each check is a line: what was found, or what is missing and how to mend it. What only some commands
 need is told as missing without being counted as broken.
@@ -7,7 +7,6 @@ need is told as missing without being counted as broken.
 from __future__ import annotations
 
 import importlib
-import json
 import os
 import platform
 import re
@@ -18,16 +17,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import psutil
-from rich.text import Text
 
-from taxinet_ros.cli.show import line_console
-from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.instructions import lacking
 
 _PYTHONS = ((3, 11), (3, 13))
@@ -40,7 +37,6 @@ _EXTRAS = {
     'distributed': '--cluster', 'mss': '--camera xplane from a window',
 }
 """Optional distributions, and what needs them."""
-_STYLES = {'ok': 'green', 'missing': 'yellow', 'broken': 'bold red'}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,33 +54,6 @@ class Check:
     state: str
     found: str
     mend: str = ''
-
-
-def run_system_doctor(*, as_json: bool) -> int:
-    """Check this machine and print a line for each check.
-
-    Args:
-        as_json: print JSON instead.
-
-    Returns:
-        Exit code: 0, or 4 if something is broken.
-    """
-    console, checks = line_console(stderr=as_json), []
-    for check in system_checks():
-        checks.append(check)
-        text = Text(f'{check.state:<8}', style=_STYLES[check.state])
-        text.append(f'{check.name:<15}', style='bold')
-        text.append(check.found + (f'; {check.mend}' if check.mend else ''), style='default')
-        console.print(text)
-    broken = [check.name for check in checks if check.state == 'broken']
-    if as_json:
-        print(json.dumps([asdict(check) for check in checks], indent=2))
-    else:
-        console.print(
-            f'broken: {", ".join(broken)}' if broken
-            else 'everything that runs need is here; next: taxinet demo',
-        )
-    return ExitCode.INFRA if broken else ExitCode.OK
 
 
 def system_checks() -> Iterator[Check]:

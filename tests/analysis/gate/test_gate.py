@@ -14,17 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from taxinet_ros.analysis.gate import (
+from taxinet_ros.analysis.gate.criteria import (
     GateOptions,
     Look,
     Verdict,
     bounds,
     further_runs,
     gate_result,
-    junit_xml,
-    rerun_command,
-    rerun_documents,
 )
+from taxinet_ros.analysis.gate.report import junit_xml, rerun_command, rerun_documents
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.place import catalogue
 from taxinet_ros.core.scenario import Scenario

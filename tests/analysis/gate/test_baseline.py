@@ -10,14 +10,14 @@ import pandas as pd
 import pytest
 from scipy.stats import multinomial
 
-from taxinet_ros.analysis.campaign.baseline import (
+from taxinet_ros.analysis.experiment.pairs import PairedRates
+from taxinet_ros.analysis.gate.baseline import (
     against_baseline,
     further_scenes,
     loss_of,
     loss_verdict,
 )
-from taxinet_ros.analysis.experiment.pairs import PairedRates
-from taxinet_ros.analysis.gate import Kind, Verdict
+from taxinet_ros.analysis.gate.criteria import Kind, Verdict
 from taxinet_ros.errors import UsageError
 
 BAGS = Path(__file__).resolve().parents[3] / 'bags'

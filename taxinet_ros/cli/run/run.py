@@ -1,0 +1,133 @@
+"""``taxinet run``: scenes of a program, or a recorded run once more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from taxinet_ros.cli.options import (
+    AuditOption,
+    BoundOption,
+    ControllerCommandOption,
+    ControllerOption,
+    EngineOption,
+    ExitZeroOption,
+    FactorOption,
+    FallbackOption,
+    FoxgloveOption,
+    FreeOption,
+    FromOption,
+    JsonSummaryOption,
+    LatencyOption,
+    MonitorOption,
+    OutOption,
+    PerceptionCommandOption,
+    PerceptionOption,
+    ProcessesOption,
+    QuietOption,
+    RateOption,
+    RunImagesOption,
+    RunOption,
+    RunsOption,
+    SceneArgument,
+    SeedOption,
+    SetOption,
+    SpecOption,
+    StopOnOption,
+    WorkersOption,
+    WorldCameraOption,
+    WorldOption,
+    campaign_of,
+    ended,
+    given_options,
+    word_of,
+)
+from taxinet_ros.errors import UsageError
+
+
+def run(
+    context: typer.Context,
+    program: SceneArgument = None,
+    bag: FromOption = None,
+    run_id: RunOption = None,
+    runs: RunsOption = 1,
+    workers: WorkersOption = 1,
+    seed: SeedOption = 0,
+    perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
+    monitor: MonitorOption = None,
+    fallback: FallbackOption = None,
+    world: WorldOption = 'kmwh',
+    settings: SetOption = None,
+    camera: WorldCameraOption = None,
+    specs: SpecOption = None,
+    out: OutOption = None,
+    processes: ProcessesOption = False,
+    images: RunImagesOption = None,
+    stop_on: StopOnOption = 'never',
+    bounds: BoundOption = None,
+    rates: RateOption = None,
+    latency: LatencyOption = None,
+    free: FreeOption = False,
+    real_time_factor: FactorOption = None,
+    foxglove: FoxgloveOption = None,
+    engine: EngineOption = 'graph',
+    audit: AuditOption = None,
+    quiet: QuietOption = False,
+    as_json: JsonSummaryOption = False,
+    exit_zero: ExitZeroOption = False,
+) -> None:
+    """Run a Scenic program's scenes through the graph.
+
+    Every run writes its own bag and a row of the campaign's table. With --from, the run of a bag is
+    rerun and compared instead: exit code 0 bit-identical, 1 different.
+    """
+    if bag is None:
+        from taxinet_ros.scenes.scenic_server import start_early
+
+        start_early()
+    from taxinet_ros.cli.run.campaign import run_campaign, with_run_workers
+    from taxinet_ros.trials.options import LOOP
+
+    if bag is not None and foxglove is not None:
+        raise UsageError('--foxglove: not with --from; use the bag_player to show a bag')
+    if bag is not None:
+        raise typer.Exit(_run_from(context, bag))
+    if run_id is not None:
+        raise UsageError(
+            '--run: selects a run of the bag given by --from; give --from, or leave --run out'
+        )
+    if program is None:
+        raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
+    if foxglove is not None and engine == LOOP:
+        raise UsageError(f'--foxglove: not with --engine {LOOP}, which has no topics')
+    options = campaign_of(
+        context, images=images or ('all' if runs == 1 else 'failures'),
+    )
+    raise ended(
+        run_campaign(
+            with_run_workers(options, workers, foxglove), foxglove, quiet=quiet, as_json=as_json,
+        ), exit_zero,
+    )
+
+
+def _run_from(context: typer.Context, bag: Path) -> int:
+    from taxinet_ros.cli.bag.rerun import check_options, run_again
+    from taxinet_ros.trials.past_runs.repeated_run import readable_run
+
+    given = given_options(context)
+    check_options(given)
+    with readable_run(bag, given.get('run_id')) as whole:
+        return run_again(
+            whole, perception=_word(context, given, 'perception'),
+            controller=_word(context, given, 'controller'), out=given.get('out'),
+            images=given.get('images'), processes=context.params['processes'],
+        )
+
+
+def _word(context: typer.Context, given: dict[str, Any], role: str) -> str | None:
+    return word_of(context, role) if {role, f'{role}_cmd'} & given.keys() else None
