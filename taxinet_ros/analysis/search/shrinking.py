@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from taxinet_ros.analysis.report.parts import Column, Picture, Table, Theme
 from taxinet_ros.analysis.report.parts import Report as PageReport
 from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import signs
+from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY
@@ -141,20 +142,20 @@ def shrink_report(shrinking: Shrinking, found: Report) -> PageReport:
         found: the result so far.
     """
     name = shrinking.headline
-    drawn = _trajectories(shrinking, found)
     three = _three(found)
+    drawn, unread = _trajectories(shrinking, three)
     bags = {
         row.run_id: shrinking.campaign.out / row.bag
-        for row in sorted(three.values(), key=lambda row: row.rho[name])
-        if row.bag and (shrinking.campaign.out / row.bag).is_dir()
+        for key, row in sorted(three.items(), key=lambda item: item[1].rho[name]) if key in drawn
     }
     shrunk = three.get('shrunk')
-    pictures = [shrink_picture(drawn, f'Fails with {off_nominal(found)}')] if drawn else []
+    title = f'Fails with {off_nominal(found)}'
+    pictures = [shrink_picture([*drawn.values()], title)] if drawn else []
     return fill_report(
         TEXT, {
             'values': _as_json(shrinking, found), 'fields': BY_KEY,
             'network': Path(shrinking.campaign.perception).name,
-            'command': run_command(shrinking, PROGRAM_NAME),
+            'command': run_command(shrinking, PROGRAM_NAME), 'unread': unread,
         },
         {'parameters': (*pictures, _parameters(found))},
         runs=bags, worst='' if shrunk is None else shrunk.run_id, worst_words='The shrunk run',
@@ -210,19 +211,28 @@ def _three(found: Report) -> dict[str, RunRow]:
     return {name: row for name, row in rows.items() if row is not None}
 
 
-def _trajectories(shrinking: Shrinking, found: Report) -> list[Trajectory]:
-    drawn = []
-    for name, row in _three(found).items():
-        # A resumed shrinking uses runs whose bags may have been deleted since.
-        if not row.bag or not (shrinking.campaign.out / row.bag).is_dir():
-            continue
-        recording = open_recording(shrinking.campaign.out / row.bag)
-        trace = recording.columns
-        drawn.append(Trajectory(
-            label=f'{name}, rho {row.rho[shrinking.headline]:+.2f}',
-            t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
-            x_m=trace['distance_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
-            ok=row.outcome is Outcome.PASS,
-            half_width_m=recording.scenario.line.half_width_m,
-        ))
-    return drawn
+def _trajectories(
+    shrinking: Shrinking, rows: Mapping[str, RunRow]
+) -> tuple[dict[str, Trajectory], list[str]]:
+    """Trajectories of the runs whose bags were not deleted, and what is wrong with damaged ones."""
+    drawn: dict[str, Trajectory] = {}
+    unread = []
+    for name, row in rows.items():
+        if row.bag and (shrinking.campaign.out / row.bag).is_dir():
+            try:
+                drawn[name] = _trajectory(name, row, shrinking)
+            except BagError as error:
+                unread.append(f'not shown: {error}')
+    return drawn, unread
+
+
+def _trajectory(name: str, row: RunRow, shrinking: Shrinking) -> Trajectory:
+    recording = open_recording(shrinking.campaign.out / row.bag)
+    trace = recording.columns
+    return Trajectory(
+        label=f'{name}, rho {row.rho[shrinking.headline]:+.2f}',
+        t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
+        x_m=trace['distance_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
+        ok=row.outcome is Outcome.PASS,
+        half_width_m=recording.scenario.line.half_width_m,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import signal
 from pathlib import Path
 
@@ -114,6 +115,22 @@ def test_given_an_interrupt_when_resumed_then_it_ends_as_if_there_had_been_none(
     )
     assert one['parameters'] == other['parameters']
     assert one['runs'] == other['runs']
+
+
+def test_given_a_damaged_bag_when_written_again_then_the_result_stands_without_its_path(folder):
+    shutil.copytree(folder / 's', folder / 'damaged')
+    found = json.loads((folder / 'damaged' / 'shrink.json').read_text())
+    (bag,) = (folder / 'damaged' / found['shrunk']['run']).glob('*.mcap')
+    data = bytearray(bag.read_bytes())
+    data[len(data) // 2] ^= 1
+    bag.write_bytes(data)
+    done = taxinet(
+        'shrink', 'c/nominal-s0-00000', '--out', 'damaged', '--resume', '--quiet', cwd=folder
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+    assert json.loads((folder / 'damaged' / 'shrink.json').read_text()) == found
+    page = (folder / 'damaged' / 'shrink.html').read_text()
+    assert f'not shown: damaged/{found["shrunk"]["run"]}' in page
 
 
 def test_given_a_run_that_cannot_be_shrunk_then_one_line_says_why_and_nothing_is_left(folder):
