@@ -3,7 +3,7 @@
 #
 #   make          install into .venv             make test       lint, types, import rules, tests
 #   make demo     install and run the demo       make nightly    the long tests: stress, soak, fuzz
-#   make format   mend what ruff can mend        make lint       the quick part of make test
+#   make format   fix what ruff can fix        make lint       the quick part of make test
 #   make bench    times, ratios to bench.json    make clean      remove caches and build folders
 #   make docs     the site into build/docs       make distclean  the same, and .venv
 #   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest

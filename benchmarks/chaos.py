@@ -372,7 +372,7 @@ class _Trial:
         fault.afterwards(sitting)
         self._note(name, 'too early' if early else str(code) if in_time else 'too late')
         if code == ExitCode.USAGE and self._kept and not early:  # refused: names the damage
-            return self._mended(name, sitting)
+            return self._fixed(name, sitting)
         if self._kept and code not in self._subject.codes and self._told() == before:
             return code  # may have ended before reading the damaged file: the next sitting reads it
         self._kept.clear()  # damage that was not refused must leave the rows unchanged
@@ -387,7 +387,7 @@ class _Trial:
             code = sitting.ended()
             self._check('the last sitting', sitting, code, {self._code})
         if code == ExitCode.USAGE and self._kept:
-            self._mended('the last sitting', sitting)
+            self._fixed('the last sitting', sitting)
             self._undisturbed_end()
             return
         self._check_rows('the last sitting', code)
@@ -500,7 +500,7 @@ class _Trial:
         del self._kept[path]  # no campaign reads it again
         return f'doctor {code}'
 
-    def _mended(self, name: str, sitting: _Sitting) -> int:
+    def _fixed(self, name: str, sitting: _Sitting) -> int:
         """Check that the refusal names the damaged file, then restore the file."""
         if not any(path.name in sitting.last_line for path in self._kept):
             self._broke('exit code', f'{name}: 2: {sitting.last_line}')

@@ -90,22 +90,22 @@ def numpy_include() -> Path:
     return include if include.is_dir() else home / 'core' / 'include'  # of NumPy 1
 
 
-def mend_include_paths() -> None:
+def fix_include_paths() -> None:
     """Point the wheels' exported CMake files at this environment's headers.
 
     The wheels contain two include paths of their build machine, and CMake rejects include folders
     that do not exist.
     """
     foreign = r'/opt/python/cp\d+-cp\d+'
-    mends = (
+    fixes = (
         (rf'{foreign}/include/python3\.\d+', sysconfig.get_paths()['include']),
         (r'/[^;" ]+/site-packages/numpy/_?core/include', str(numpy_include())),
     )
     for path in PREFIX.glob('share/*/cmake/*.cmake'):
         before = after = path.read_text(encoding='utf-8')
-        for pattern, mend in mends:
+        for pattern, fix in fixes:
             # Backslashes in a path are not group references.
-            after = re.sub(pattern, mend.replace('\\', r'\\'), after)
+            after = re.sub(pattern, fix.replace('\\', r'\\'), after)
         if after != before:
             path.write_text(after, encoding='utf-8')
 
@@ -171,7 +171,7 @@ def bring_up_to_date(package: Package) -> None:
     else:
         started = time.monotonic()
         package.stamp.unlink(missing_ok=True)  # An interrupted build is repeated.
-        mend_include_paths()
+        fix_include_paths()
         build(package)
         package.stamp.write_text(digest, encoding='utf-8')
         print(f'{package.name}: built into {PREFIX} in {time.monotonic() - started:.0f} s')

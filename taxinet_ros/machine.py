@@ -1,6 +1,6 @@
 """Whether this machine has what taxinet_ros needs: ``taxinet doctor`` without a folder.
 
-Each check is a line: what was found, or what is missing and how to mend it. What only some commands
+Each check is a line: what was found, or what is missing and how to fix it. What only some commands
 need is told as missing without being counted as broken.
 """
 
@@ -47,13 +47,13 @@ class Check:
         name: what was checked.
         state: ``ok``; ``missing``, what only some commands need; or ``broken``.
         found: what is there, or what is wrong.
-        mend: what to do about it, '' if nothing.
+        fix: what to do about it, '' if nothing.
     """
 
     name: str
     state: str
     found: str
-    mend: str = ''
+    fix: str = ''
 
 
 def system_checks() -> Iterator[Check]:
@@ -160,8 +160,8 @@ def _messages(name: str) -> Iterator[Check]:
     try:
         messages: Any = importlib.import_module('taxinet_msgs.msg')
     except ImportError as error:
-        mend = 'make, taxinet setup-messages, or colcon build with msg_defs'
-        yield Check(name, 'broken', f'not built: {error}', mend)
+        fix = 'make, taxinet setup-messages, or colcon build with msg_defs'
+        yield Check(name, 'broken', f'not built: {error}', fix)
         return
     fields = messages.Scenario.get_fields_and_field_types()
     lost = [field.attribute for field in MESSAGE_FIELDS if field.attribute not in fields]

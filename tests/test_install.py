@@ -220,7 +220,7 @@ def test_ros21_given_a_tf2_msgs_that_is_not_ours_then_the_build_leaves_it_alone(
     build_with_wheels = importlib.import_module('build_with_wheels')
     built: list[str] = []
     monkeypatch.setattr(build_with_wheels, 'PREFIX', tmp_path)
-    monkeypatch.setattr(build_with_wheels, 'mend_include_paths', lambda: None)
+    monkeypatch.setattr(build_with_wheels, 'fix_include_paths', lambda: None)
     monkeypatch.setattr(build_with_wheels, 'build', lambda package: built.append(package.name))
     package = build_with_wheels.PACKAGES[1]
     assert (package.name, package.source) == ('tf2_msgs', TF2_MSGS)

@@ -30,7 +30,7 @@ def doctor(
     """Check this machine, or every file in a results folder.
 
     Without a folder: Python, compiler, packages, ROS, messages, domain, discovery, memory, limits,
-    disk and a short run, each with its mend; exit code 4 if something is broken.
+    disk and a short run, each with its fix; exit code 4 if something is broken.
 
     With a folder: checks every record, each bag against its row and each dataset image against its
     label, makes tables again that do not say what their record says, and finds leftovers of killed
@@ -57,7 +57,7 @@ def doctor(
         for line in found.notes:
             print(f'note    {line}')
         looked_at = ', '.join(f'{count:,} {what}' for what, count in found.looked_at.items())
-        summary = conclusion([one.mend for one in found.findings]) or 'sound'
+        summary = conclusion([one.fix for one in found.findings]) or 'sound'
         print(f'{folder}: {looked_at}: {summary}')
     return ExitCode.INCOMPLETE if found.findings else ExitCode.OK
 
@@ -75,7 +75,7 @@ def _check_machine(*, as_json: bool) -> int:
         checks.append(check)
         text = Text(f'{check.state:<8}', style=_STYLES[check.state])
         text.append(f'{check.name:<15}', style='bold')
-        text.append(check.found + (f'; {check.mend}' if check.mend else ''), style='default')
+        text.append(check.found + (f'; {check.fix}' if check.fix else ''), style='default')
         console.print(text)
     broken = [check.name for check in checks if check.state == 'broken']
     if as_json:

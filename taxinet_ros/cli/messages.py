@@ -40,13 +40,13 @@ def run_setup_messages() -> int:
             f'setup-messages: {sys.executable} is not in a virtual environment; make one with '
             'python3 -m venv, or with a ROS 2 installation build msg_defs with colcon'
         )
-    for program, mend in (
+    for program, fix in (
         (prefix / 'bin' / 'cmake', "pip install 'taxinet_ros[ros]'"),
         (prefix / 'bin' / 'ninja', "pip install 'taxinet_ros[ros]'"),
         (Path('c++'), 'on Debian and Ubuntu: apt install g++'),
     ):
         if shutil.which(program) is None:
-            raise UsageError(f'setup-messages: no {program}, which builds them; {mend}')
+            raise UsageError(f'setup-messages: no {program}, which builds them; {fix}')
     done = subprocess.run([sys.executable, str(builder)], check=False)
     return ExitCode.OK if done.returncode == 0 else ExitCode.INFRA
 

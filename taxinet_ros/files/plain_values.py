@@ -112,32 +112,32 @@ class _PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: igno
         return True
 
 
-def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
+def read_yaml(path: Path, *, option: str = '', fix: str = '') -> object:
     """Read a user's YAML file as plain values.
 
     Args:
         path: the file, UTF-8.
         option: prefix of the error if the file cannot be read, as in ``--spec``.
-        mend: advice appended to syntax errors.
+        fix: advice appended to syntax errors.
 
     Raises:
         UsageError: it cannot be read, is not YAML, or repeats a key.
     """
     try:
-        return parse_yaml(path, read_file(path, MAX_BYTES), mend=mend)
+        return parse_yaml(path, read_file(path, MAX_BYTES), fix=fix)
     except OSError as error:
         where = f'{option} {path}'.strip()
         raise UsageError(f'{where}: cannot be read: {error.strerror}') from error
 
 
-def parse_yaml(path: Path, data: bytes, *, about: str = '', mend: str = '') -> object:
+def parse_yaml(path: Path, data: bytes, *, about: str = '', fix: str = '') -> object:
     """Parse ``data``, the bytes of a user's YAML file.
 
     Args:
         path: the file, for the message.
         data: its content.
         about: prefix of every error.
-        mend: as for :func:`read_yaml`.
+        fix: as for :func:`read_yaml`.
 
     Raises:
         UsageError: it is not YAML of plain values, or repeats a key.
@@ -150,7 +150,7 @@ def parse_yaml(path: Path, data: bytes, *, about: str = '', mend: str = '') -> o
         mark = error.problem_mark
         place = f'line {mark.line + 1}, column {mark.column + 1}: ' if mark else ''
         syntax = not isinstance(error, yaml.constructor.ConstructorError)
-        text = f'{about}{path}: {place}{error.problem}{mend if syntax else ""}'
+        text = f'{about}{path}: {place}{error.problem}{fix if syntax else ""}'
         raise UsageError(text) from None
     except YAML_TROUBLES as error:
         text = ' '.join(str(error).split())[:120]
@@ -298,8 +298,8 @@ class Section:
             return default
         value = self.take(key, kind)
         if not isinstance(value, str) or not (value or empty):
-            mend = "; put it in '…' quotes" if isinstance(value, int | float) else ''
-            raise self.wrong(expected(kind, value) + mend, key)
+            fix = "; put it in '…' quotes" if isinstance(value, int | float) else ''
+            raise self.wrong(expected(kind, value) + fix, key)
         if matching is not None and not matching.fullmatch(value):
             raise self.wrong(expected(kind, value), key)
         return value
@@ -344,8 +344,8 @@ class Section:
         kind = f'a number, {low:g} {"or more" if high is None else f"to {high:g}"}'
         value = self.take(key, kind)
         if not is_number(value, low, high):
-            mend = '; write it as 0.5 or 1.0e-3' if isinstance(value, str) else ''
-            raise self.wrong(expected(kind, value) + mend, key)
+            fix = '; write it as 0.5 or 1.0e-3' if isinstance(value, str) else ''
+            raise self.wrong(expected(kind, value) + fix, key)
         return float(value)
 
     def numbers(

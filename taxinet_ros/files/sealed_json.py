@@ -35,12 +35,12 @@ class SealedJson:
     values: dict[str, Any]
     files: Mapping[str, str] = field(default_factory=dict)
 
-    def check_file(self, path: Path, mend: str) -> bool:
+    def check_file(self, path: Path, fix: str) -> bool:
         """Check a file against its checksum; return whether it has one.
 
         Args:
             path: path of the file, in the same folder.
-            mend: what to do if it differs, for the message.
+            fix: what to do if it differs, for the message.
 
         Raises:
             UsageError: it differs.
@@ -49,7 +49,7 @@ class SealedJson:
         if path.name not in self.files:
             return False
         if file_sha256(path) != self.files[path.name]:
-            raise UsageError(f'{path}: was modified (its SHA-256 differs); {mend}')
+            raise UsageError(f'{path}: was modified (its SHA-256 differs); {fix}')
         return True
 
 

@@ -65,7 +65,7 @@ _HINTS = {
     'Plane': _WITHOUT_MODEL, 'CLOUDS': _WITHOUT_MODEL, 'RAIN_CLOUDS': _WITHOUT_MODEL,
     'DotMap': '; a dict does as well: {"alpha": 0.9}',
 }
-"""Mends of an undefined name."""
+"""Fixes of an undefined name."""
 
 
 class OutOfTime(BaseException):

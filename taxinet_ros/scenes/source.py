@@ -293,7 +293,7 @@ class SceneSource:
                 values = our_values(self._with_own_files(answer['values']), self._values)
             except UsageError as error:
                 raise UsageError(f'{where}: {error}') from error
-            check_offsets({**values, **self._values}, where)  # no draw would mend it
+            check_offsets({**values, **self._values}, where)  # no draw would fix it
             return values
         if point is not None:
             raise Refused(f'{where}: the point does not meet the requirements', 1)

@@ -274,7 +274,7 @@ def _pictures_so_far(options: TrainOptions, request: Mapping[str, Any]) -> Itera
             yield pictures
     except OSError as error:
         raise RecordError(
-            f'train: {error.filename or folder}: {disk_words(error)}; mend that, then go on with '
+            f'train: {error.filename or folder}: {disk_words(error)}; fix that, then go on with '
             '--resume'
         ) from error
 

@@ -77,10 +77,10 @@ class Examination:
         if path is not None:
             self.checked.add(path)
 
-    def report(self, where: object, what: object, mend: str = '') -> None:
+    def report(self, where: object, what: object, fix: str = '') -> None:
         """Add a finding, without repeating a place with which its text starts."""
         text = str(what).removeprefix(f'{where}:').strip().partition('; ')[0]
-        self.findings.append(Finding(where=str(where), what=text, mend=mend))
+        self.findings.append(Finding(where=str(where), what=text, fix=fix))
 
 
 def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> Examination:
@@ -396,5 +396,5 @@ def _check_drafts(place: Path, found: Examination) -> None:
     bags = {file.parent for file in place.glob(f'*/*.{STORAGE_ID}')}
     for folder in (place, *sorted(bags)):
         for path in sorted({path for words in DRAFTS for path in folder.glob(words)}):
-            mended = f'taxinet bag doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
-            found.report(path, 'left by a killed process; not used', mended)
+            fixed = f'taxinet bag doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
+            found.report(path, 'left by a killed process; not used', fixed)

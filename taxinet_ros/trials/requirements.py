@@ -72,7 +72,7 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
 
 def _read(path: Path, predicates: dict[str, str]) -> list[str]:
     """Texts of a file's formulas; its predicates are added to ``predicates``."""
-    top = Section(path, read_yaml(path, option='--spec', mend=_BRACKETS), _KEYS)
+    top = Section(path, read_yaml(path, option='--spec', fix=_BRACKETS), _KEYS)
     given = top.section('predicates', optional=True)
     for name in given:
         if name in predicates:

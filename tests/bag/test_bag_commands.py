@@ -94,7 +94,7 @@ def test_given_a_bag_when_the_doctor_looks_then_exit_code_and_json_agree(
     said, out, err = bag('doctor', name)
     assert (said, err) == (code, '')
     assert ('nothing is wrong' in out) == (code == 0)
-    assert (f'mended by: taxinet bag recover {name} --out NEW' in out) == (code == 3)
+    assert (f'fixed by: taxinet bag recover {name} --out NEW' in out) == (code == 3)
     said, out, _ = bag('doctor', name, '--json')
     values = json.loads(out)
     assert (said, values['sound']) == (code, code == 0)

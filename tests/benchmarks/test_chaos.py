@@ -125,13 +125,13 @@ def test_given_a_record_that_is_cut_then_it_is_refused_by_name_and_put_back(
     monkeypatch.setattr(chaos, 'DAMAGES', {'record cut': DAMAGES['record cut']})
     one = disturbing(tmp_path, '')
     refused = []
-    mended = chaos._Trial._mended
+    fixed = chaos._Trial._fixed
 
     def noted(trial, name, sitting):
         refused.append(sitting.last_line)
-        return mended(trial, name, sitting)
+        return fixed(trial, name, sitting)
 
-    monkeypatch.setattr(chaos._Trial, '_mended', noted)
+    monkeypatch.setattr(chaos._Trial, '_fixed', noted)
     one.trial(0)
     assert one.found.ends['record cut'] == {'done': 1}
     assert one.found.broken == []

@@ -1,4 +1,4 @@
-"""``taxinet doctor`` without a folder: what is here, what is missing, and its mend."""
+"""``taxinet doctor`` without a folder: what is here, what is missing, and its fix."""
 
 import json
 import os
@@ -39,7 +39,7 @@ def test_given_a_machine_that_passes_these_tests_then_nothing_is_broken_and_all_
         'python', 'processor', 'camera', 'compiler', 'packages', 'ros', 'messages', 'domain',
         'discovery', 'memory', 'shared memory', 'limits', 'disk', 'run',
     }
-    assert all(check.mend for check in checks if check.state != 'ok')
+    assert all(check.fix for check in checks if check.state != 'ok')
     assert all(check.found in err for check in checks)  # the lines for people, as they come
 
 
@@ -47,7 +47,7 @@ def test_given_a_machine_that_passes_these_tests_then_nothing_is_broken_and_all_
     ('rclpy', 'ros', 'no ROS 2 in this Python'), ('taxinet_msgs.msg', 'messages', 'not built'),
     ('taxinet_ros.core.camera.pixels', 'camera', 'cannot be imported'),
 ])
-def test_given_something_that_cannot_be_imported_then_its_line_says_how_to_mend_it(
+def test_given_something_that_cannot_be_imported_then_its_line_says_how_to_fix_it(
     module, name, words, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, module, None)
@@ -59,7 +59,7 @@ def test_given_something_that_cannot_be_imported_then_its_line_says_how_to_mend_
     (check,) = found(name)
     assert check.state == 'broken'
     assert words in check.found
-    assert 'make' in check.mend
+    assert 'make' in check.fix
 
 
 @pytest.mark.nightly

@@ -1,4 +1,4 @@
-"""Hundreds of mutated files: reading, checking and mending them ends in a typed error or a result.
+"""Hundreds of mutated files: reading, checking and fixing them ends in a typed error or a result.
 
 A third are mutated as they are, which their checksums catch; the others within a chunk without a
 checksum, so that nonsense reaches definitions, descriptions and messages.

@@ -108,7 +108,7 @@ def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
     begun = read_options(out, 'case-study', '')
     assert (begun['runs'], begun['images']) == (90, 240)
     printed = capsys.readouterr().out
-    assert 'stopped at train-original: exit code 3; once it is mended, --resume' in printed
+    assert 'stopped at train-original: exit code 3; once it is fixed, --resume' in printed
     with pytest.raises(UsageError, match=r'study: already exists'):
         case_study(None, out=out)
 

@@ -172,7 +172,7 @@ def test_a_full_disk_loses_no_picture(
 
     monkeypatch.setattr(unfinished, 'FLUSH_S', 0.0)
     monkeypatch.setattr(Record, 'put_all', full)
-    with pytest.raises(RecordError, match=r'No space left.*mend that, then go on with --resume'):
+    with pytest.raises(RecordError, match=r'No space left.*fix that, then go on with --resume'):
         train(options(out))
     monkeypatch.undo()
     assert len(read_record(tmp_path / 'net.part' / NAME)['picture']) == 5

@@ -91,7 +91,7 @@ def broken(*times: int) -> Callable[[RunRequest], RunResult]:
     (Same, (0, 2, 2), [0, 1, 1, 2, 2], 'PII', [0, 1, 1]),
     (Same, (0, 0, 2, 0, 2), [0, 1, 2, 2, 4, 4], 'PPIRI', [0, 0, 1, 0, 1]),
     (Once, (0, 1, 1), [0, 1, 2], 'PII', [0, 0, 0]),
-], ids=['mended', 'one broken', 'broken', 'a rejected scene is no sign of health', 'no retries'])
+], ids=['fixed', 'one broken', 'broken', 'a rejected scene is no sign of health', 'no retries'])
 def test_given_runs_that_break_then_each_is_tried_once_more_and_some_in_a_row_end_it(
     kind, times, attempts, outcomes, retries, tmp_path
 ):

@@ -197,7 +197,7 @@ def damages(data: bytes) -> Iterator[bytes]:
 def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_again(
     tmp_path, capsys
 ):
-    whole, mended = tmp_path / 'whole', 0
+    whole, fixed = tmp_path / 'whole', 0
     toy.finish(toy.options(whole))
     sound = (whole / 'campaign.db').read_bytes()
     for number, data in enumerate(damages(sound)):
@@ -226,8 +226,8 @@ def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_aga
         toy.same_table(whole, out)
         examine_record(out / 'campaign.db')
         assert len(asked) <= 20 - kept <= (20 if len(data) < len(sound) - 5000 else 3)
-        mended += 1
-    assert mended > 10
+        fixed += 1
+    assert fixed > 10
 
 
 def test_f1_given_a_kill_amid_a_second_sitting_then_a_third_ends_as_if_nothing_had_been(tmp_path):

@@ -179,10 +179,10 @@ def break_once(indices: set[int]):
     return judge
 
 
-def test_given_runs_that_break_once_then_a_second_try_mends_them_and_keeps_what_is_left(
+def test_given_runs_that_break_once_then_a_second_try_fixes_them_and_keeps_what_is_left(
     whole, tmp_path
 ):
-    out = tmp_path / 'mended'
+    out = tmp_path / 'fixed'
     undisturbed = read_table(whole)
     broken = list(undisturbed['index'][undisturbed['rho'].notna()][:9:4])
     toy.finish(toy.options(out), 2, judge=break_once(set(broken)))

@@ -1,4 +1,4 @@
-"""A standing graph runs what a sampler elsewhere asks for; it is mended, named and ended."""
+"""A standing graph runs what a sampler elsewhere asks for; it is fixed, named and ended."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A scene that the first network satisfies and the last one violates has a place in the order at which
 it breaks: a network that satisfies it beside one that violates it. Bisection finds such a place in
-about log2(N) runs. If a scene breaks, is mended and breaks again, there are several; bisection
+about log2(N) runs. If a scene breaks, is fixed and breaks again, there are several; bisection
 finds one of them, and running every network finds all.
 """
 
@@ -27,13 +27,13 @@ class BisectedScene:
         name: its name.
         results: whether it is satisfied by place of the network, as far as run; None: not judged.
         broken: places of the networks that violate it after one that satisfies it.
-        mended: places of the networks that satisfy it after one that violates it.
+        fixed: places of the networks that satisfy it after one that violates it.
     """
 
     name: str
     results: Mapping[int, bool | None]
     broken: tuple[int, ...]
-    mended: tuple[int, ...]
+    fixed: tuple[int, ...]
 
     @property
     def unclear(self) -> bool:
@@ -61,9 +61,9 @@ class Bisection:
         """Names of the scenes that a network broke."""
         return tuple(scene.name for scene in self.scenes if place in scene.broken)
 
-    def mended_by(self, place: int) -> tuple[str, ...]:
-        """Names of the scenes that a network mended."""
-        return tuple(scene.name for scene in self.scenes if place in scene.mended)
+    def fixed_by(self, place: int) -> tuple[str, ...]:
+        """Names of the scenes that a network fixed."""
+        return tuple(scene.name for scene in self.scenes if place in scene.fixed)
 
 
 def bisect_scenes(
@@ -115,7 +115,7 @@ def _scene(name: str, results: Mapping[int, bool | None]) -> BisectedScene:
     return BisectedScene(
         name=name, results=dict(sorted(results.items())),
         broken=tuple(place for place, was, now in beside if was is True and now is False),
-        mended=tuple(place for place, was, now in beside if was is False and now is True),
+        fixed=tuple(place for place, was, now in beside if was is False and now is True),
     )
 
 
@@ -133,7 +133,7 @@ def bisection_lines(found: Bisection) -> list[str]:
     for place in range(1, last + 1):
         before, network = found.networks[place - 1], found.networks[place]
         for word, names in (
-            ('breaks', found.broken_by(place)), ('mends', found.mended_by(place))
+            ('breaks', found.broken_by(place)), ('fixes', found.fixed_by(place))
         ):
             if names:
                 many = 'scene' if len(names) == 1 else 'scenes'
@@ -163,8 +163,8 @@ def bisection_json(found: Bisection) -> dict[str, Any]:
             found.networks[place]: list(found.broken_by(place))
             for place in range(1, len(found.networks))
         },
-        'mended': {
-            found.networks[place]: list(found.mended_by(place))
+        'fixed': {
+            found.networks[place]: list(found.fixed_by(place))
             for place in range(1, len(found.networks))
         },
         'scenes': {

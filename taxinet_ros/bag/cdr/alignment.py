@@ -184,10 +184,10 @@ class Walk:
         if not wrong and len(cdr) == at:
             self._sound.learn(cdr, trail, True)
             return cdr
-        mended = bytearray(cdr[:at])
+        fixed = bytearray(cdr[:at])
         for start, end in wrong:
-            mended[start:end] = bytes(end - start)
-        return bytes(mended)
+            fixed[start:end] = bytes(end - start)
+        return bytes(fixed)
 
 
 def walk_of(store: Any, type_name: str) -> Walk:

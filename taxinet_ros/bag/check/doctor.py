@@ -32,7 +32,7 @@ def _check_bytes(info: BagInfo) -> Check:
         name='bytes', looked_at=f'{info.count} messages; {info.unchecked}' if info.unchecked else
         f'{info.count} messages under the checksums of chunks, data and summary',
         findings=tuple(
-            Finding(where=_place(error), what=_without_place(error), mend=RECOVER)
+            Finding(where=_place(error), what=_without_place(error), fix=RECOVER)
             for error in info.damage
         ),
     )
@@ -55,7 +55,7 @@ def _check_structure(recording: Recording) -> Check:
     for topic in info.topics:
         found += _topic_troubles(topic, others)
     if not recording.plain:  # A message that cannot be decoded belongs to no run.
-        found += [Finding(where=info.path.name, what=str(error), mend=RERUN)
+        found += [Finding(where=info.path.name, what=str(error), fix=RERUN)
                   for error in recording.damage[len(info.damage):]]
     what = f'{METADATA_FILE}, definitions' if described else 'definitions'
     return Check(
@@ -70,16 +70,16 @@ def _topic_troubles(topic: TopicInfo, others: list[str]) -> Iterator[Finding]:
         found = definition_hash(topic)
         if topic.type_hash and topic.type_hash != found:
             what = f'type hash {topic.type_hash} is not that of the definition, {found}'
-            yield Finding(where=topic.name, what=what, mend=RERUN)
+            yield Finding(where=topic.name, what=what, fix=RERUN)
         if topic.qos:
             qos_profiles(topic.qos)
     except BagError as error:
         if topic.encoding == 'cdr' and is_run_topic(topic.name):
-            yield Finding(where=topic.name, what=str(error), mend=RERUN)
+            yield Finding(where=topic.name, what=str(error), fix=RERUN)
         else:
             others.append(f'{topic.name} ({topic.type or topic.encoding})')
     except ValueError as error:
-        yield Finding(where=topic.name, what=f'QoS: {error}', mend=RECOVER)
+        yield Finding(where=topic.name, what=f'QoS: {error}', fix=RECOVER)
 
 
 def _description_troubles(info: BagInfo) -> Iterator[Finding]:
@@ -87,10 +87,10 @@ def _description_troubles(info: BagInfo) -> Iterator[Finding]:
     try:
         told = read_description(info.path)
         for what in _contradictions(info, told):
-            yield Finding(where=METADATA_FILE, what=what, mend=RECOVER)
+            yield Finding(where=METADATA_FILE, what=what, fix=RECOVER)
     except BagError as error:
         what = str(error).removeprefix(f'{error.path}: ')
-        yield Finding(where=METADATA_FILE, what=what, mend=RECOVER)
+        yield Finding(where=METADATA_FILE, what=what, fix=RECOVER)
 
 
 def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:

@@ -19,12 +19,12 @@ class Finding:
     Attributes:
         where: byte, step, topic or file.
         what: one-line description.
-        mend: repair command, with ``{bag}`` for the bag's path; '' if there is none.
+        fix: repair command, with ``{bag}`` for the bag's path; '' if there is none.
     """
 
     where: str
     what: str
-    mend: str = ''
+    fix: str = ''
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +60,11 @@ def _joined(words: Sequence[str], most: int = 6) -> str:
     return ', '.join(words[:most]) + more
 
 
-def conclusion(mends: Sequence[str]) -> str:
-    """The commands that mend some findings, '' for what none mends; '' without findings."""
-    counts = Counter(mends)
+def conclusion(fixes: Sequence[str]) -> str:
+    """The commands that fix some findings, '' for what none fixes; '' without findings."""
+    counts = Counter(fixes)
     lost = counts.pop('', 0)
-    parts = [f'{number} mended by: {command}' for command, number in counts.items()]
+    parts = [f'{number} fixed by: {command}' for command, number in counts.items()]
     if lost:
         parts.append(f'{lost} only by making it again')
-    return f'{len(mends)} found; {"; ".join(parts)}' if mends else ''
+    return f'{len(fixes)} found; {"; ".join(parts)}' if fixes else ''

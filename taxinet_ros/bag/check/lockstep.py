@@ -217,14 +217,14 @@ def _check_steps(record: RunRecord, topics: Collection[str], damaged: bool) -> C
     last = record.last_seq()
     found += _once_troubles(record, damaged)
     if last < 0 and record.ending is None and not truth:
-        found.append(Finding(where=f'/{TRUTH}', what='no control steps', mend=RERUN))
+        found.append(Finding(where=f'/{TRUTH}', what='no control steps', fix=RERUN))
     else:
         found += _step_troubles(record, topics, last)
     return Check(
         name='lockstep', looked_at=f'{last + 1} control steps, every topic in each'
         + (_unanswered(record, last) if record.free else '')
         + ('' if record.ending is not None else '; the end of the run is not recorded'),
-        findings=tuple(replace(one, mend=RERUN) for one in found),
+        findings=tuple(replace(one, fix=RERUN) for one in found),
     )
 
 
@@ -275,7 +275,7 @@ def _verdict(record: RunRecord, recording: Recording) -> Check:
         return Check(name='verdict', looked_at='no steps to judge', skipped=True)
     return Check(
         name='verdict', looked_at=f'robustness from the recorded truth of {steps} steps, '
-        'bit for bit', findings=tuple(replace(one, mend=RERUN) for one in found),
+        'bit for bit', findings=tuple(replace(one, fix=RERUN) for one in found),
     )
 
 

@@ -44,7 +44,7 @@ def _print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> Non
             'bag': bag, 'sound': not findings,
             'checks': [
                 {**plain(check), 'findings': [
-                    {**plain(finding), 'mend': _mend(finding, bag)} for finding in check.findings
+                    {**plain(finding), 'fix': _fix(finding, bag)} for finding in check.findings
                 ]} for check in checks
             ],
         })
@@ -54,8 +54,8 @@ def _print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> Non
         console.print(_check_line(check))
         for finding in check.findings:
             console.print(f'        {finding.where}: {finding.what}')
-    mends = [_mend(finding, bag) for finding in findings]
-    console.print(conclusion(mends) or 'nothing is wrong')
+    fixes = [_fix(finding, bag) for finding in findings]
+    console.print(conclusion(fixes) or 'nothing is wrong')
 
 
 def _check_line(check: Check) -> Text:
@@ -71,5 +71,5 @@ def _check_line(check: Check) -> Text:
     return text
 
 
-def _mend(finding: Finding, bag: Path) -> str:
-    return finding.mend.replace('{bag}', shlex.quote(str(bag)))
+def _fix(finding: Finding, bag: Path) -> str:
+    return finding.fix.replace('{bag}', shlex.quote(str(bag)))

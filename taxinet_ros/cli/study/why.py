@@ -58,7 +58,7 @@ def why(
     Analyzes the failures, drives some again with perfect estimates, explains the worst run of each
     cause, shrinks one, and tests what is suspected on fresh scenes. Says in three sentences whether
     network, controller or requirement is at fault, and how sure that is; writes one page with links
-    to all evidence, and the command that mends it. After an interrupt, the same command continues.
+    to all evidence, and the command that fixes it. After an interrupt, the same command continues.
     Exit codes: 0 a verdict, 3 unclear, 130 interrupted.
     """
     console = line_console(stderr=as_json)

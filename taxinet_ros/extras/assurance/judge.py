@@ -329,7 +329,7 @@ class Guarded:
     Attributes:
         satisfied, off: shares.
         rho_m: quantiles 10, 50 and 90 % of the robustness [m].
-        mended, broken: scenes satisfied only with it, and only without it.
+        fixed, broken: scenes satisfied only with it, and only without it.
         off_ratio: how many times less often the aircraft leaves the runway; the interval is that of
             two Clopper-Pearson bounds of 97.5 % each, so it holds however the runs depend.
     """
@@ -337,7 +337,7 @@ class Guarded:
     satisfied: Rate
     off: Rate
     rho_m: tuple[float, float, float]
-    mended: int
+    fixed: int
     broken: int
     off_ratio: Bounded
 
@@ -437,7 +437,7 @@ def _guarded(plain: Sequence[Trial], guarded: Sequence[Trial]) -> Guarded:
     return Guarded(
         satisfied=rate(sum(one.satisfied for one in guarded), len(guarded)),
         off=rate(lost, len(guarded)), rho_m=_quantiles([one.rho_m for one in guarded]),
-        mended=sum(now.satisfied and not before.satisfied for before, now in pairs),
+        fixed=sum(now.satisfied and not before.satisfied for before, now in pairs),
         broken=sum(before.satisfied and not now.satisfied for before, now in pairs),
         off_ratio=off_ratio(sum(one.left_runway for one in plain), lost, len(plain)),
     )

@@ -85,7 +85,7 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
         console.print(line)
     table = Table(box=None, pad_edge=False)
     table.add_column('fallback')
-    for heading in ('satisfied', 'off the runway', 'rho 10, 50, 90 % [m]', 'mended', 'broken'):
+    for heading in ('satisfied', 'off the runway', 'rho 10, 50, 90 % [m]', 'fixed', 'broken'):
         table.add_column(heading, justify='right', no_wrap=True)
     table.add_row(
         'none', _share(judged.satisfied), _share(judged.off), _numbers(judged.rho_m), '', ''
@@ -93,7 +93,7 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
     for name, one in judged.with_fallback.items():
         table.add_row(
             name, _share(one.satisfied), _share(one.off), _numbers(one.rho_m),
-            str(one.mended), str(one.broken),
+            str(one.fixed), str(one.broken),
         )
     console.print(table, soft_wrap=False)
     for name, one in judged.with_fallback.items():

@@ -130,7 +130,7 @@ class StudyRun:
             self._put(stage, record.stopped(time.monotonic() - begun))
             if stage.optional and isinstance(error, (UsageError, InfraError, BagError)):
                 return self._refuse(stage, str(error))
-            self._show(f'stopped at {stage.name}; once it is mended, {self._again} goes on')
+            self._show(f'stopped at {stage.name}; once it is fixed, {self._again} goes on')
             raise
         wall_s = time.monotonic() - begun
         interrupted = code in _INTERRUPTED or interrupts_received() > before
@@ -142,7 +142,7 @@ class StudyRun:
                 return ExitCode.INTERRUPTED
             if stage.optional:
                 return self._refuse(stage, trouble)
-            self._show(f'stopped at {stage.name}: {trouble}; once it is mended, {self._again} '
+            self._show(f'stopped at {stage.name}: {trouble}; once it is fixed, {self._again} '
                        'goes on')
             return ExitCode.INFRA if code in stage.accepts else code
         self._put(stage, record.done(key, stage.results(self._out), wall_s, self._workers))

@@ -600,7 +600,7 @@ def _scene_and_judging(campaign: RecordedCampaign) -> tuple[Scenario, Judging]:
 
 
 def _check_same(
-    role: str, word: str, now: Callable[[], str], before: str, mend: str
+    role: str, word: str, now: Callable[[], str], before: str, fix: str
 ) -> None:
     """Check that a network or controller is there, and that of the run.
 
@@ -612,8 +612,8 @@ def _check_same(
         found = now()
     except UsageError as error:
         raise UsageError(
-            f"the run's {role} {word!r} ({was}) is not here under this name; {mend}"
+            f"the run's {role} {word!r} ({was}) is not here under this name; {fix}"
         ) from error
     if found != before:
         what = f'sha256 {found[:12]}…' if found else 'without weights'
-        raise UsageError(f'{role} {word} is {what}, the run had one of {was}; {mend}')
+        raise UsageError(f'{role} {word} is {what}, the run had one of {was}; {fix}')

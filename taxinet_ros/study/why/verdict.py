@@ -280,7 +280,7 @@ def actions(
         kept_bags: whether some failed run has its bag, along whose path pictures can be taken.
     """
     can_train = trainable(evidence.network)
-    mended = f'{Path(evidence.network).stem if can_train else "mended"}-mended.safetensors'
+    fixed = f'{Path(evidence.network).stem if can_train else "fixed"}-fixed.safetensors'
     programs = [cause.program for cause in evidence.causes if cause.program is not None]
     if not programs and evidence.scenes is not None:
         programs = [evidence.scenes]
@@ -294,8 +294,8 @@ def actions(
         'e': evidence, 'b': evidence.blames or Blames(), 'fault': fault.value,
         'command': _line, 'campaign': campaign, 'kept_bags': kept_bags, 'programs': programs,
         'world': world, 'our_world': KMWH, 'camera': camera, 'our_camera': OURS, 'added': ADDED,
-        'trainable': can_train, 'mended': mended, 'train': _line(
-            *train, '--epochs', '8', '--learning-rate', '0.001', '--out', mended),
+        'trainable': can_train, 'fixed': fixed, 'train': _line(
+            *train, '--epochs', '8', '--learning-rate', '0.001', '--out', fixed),
         'bag': next((cause.bag for cause in evidence.causes if cause.bag is not None), None),
     }, {})
     return tuple(

@@ -200,8 +200,8 @@ def _check_new(out: Path) -> None:
         if out.exists() and (not out.is_dir() or (
             {path.name for path in out.iterdir()} - (set() if begun else _EMPTY)
         )):
-            mend = 'use --resume, or choose another' if begun else 'choose another'
-            raise UsageError(f'dataset: --out {out}: exists and is not empty; {mend}')
+            fix = 'use --resume, or choose another' if begun else 'choose another'
+            raise UsageError(f'dataset: --out {out}: exists and is not empty; {fix}')
     except OSError as error:
         raise UsageError(
             f'dataset: {out}: cannot be written ({error.strerror}); name another --out'

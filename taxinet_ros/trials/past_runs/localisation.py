@@ -184,15 +184,15 @@ def _network(campaign: RecordedCampaign, given: str | None) -> str:
     recorded = first.fingerprint
     asked = str(campaign.facts.get('perception', ''))
     word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
-    mend = f'name the file that {campaign.folder} was run with: --perception FILE'
+    fix = f'name the file that {campaign.folder} was run with: --perception FILE'
     try:
         found = check_perception(word)
     except UsageError as error:
-        raise UsageError(f'{error}; {mend}') from error
+        raise UsageError(f'{error}; {fix}') from error
     if found != recorded:
         what = f'sha256 {found[:12]}…' if found else 'the truth'
         before = f'sha256 {recorded[:12]}…' if recorded else 'the truth'
-        raise UsageError(f'perception {word} is {what}, the runs had {before}; {mend}')
+        raise UsageError(f'perception {word} is {what}, the runs had {before}; {fix}')
     return str(word)
 
 

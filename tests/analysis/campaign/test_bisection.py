@@ -43,15 +43,15 @@ def test_a_scene_that_breaks_is_broken_by_a_network_beside_one_that_satisfied_it
     every, _ = bisect(table, every=True)
     assert every.runs == len(table) * len(table[0])
     for scene, all_of_it, truth in zip(found.scenes, every.scenes, table, strict=True):
-        broken, mended = (
+        broken, fixed = (
             tuple(place for place, pair in enumerate(itertools.pairwise(truth), 1) if pair == kind)
             for kind in ((True, False), (False, True))
         )
-        assert (all_of_it.broken, all_of_it.mended) == (broken, mended)
+        assert (all_of_it.broken, all_of_it.fixed) == (broken, fixed)
         assert len(scene.results) <= most
         assert scene.broken or not truth[0] or truth[-1]
         assert set(scene.broken) <= set(broken)
-        assert set(scene.mended) <= set(mended)
+        assert set(scene.fixed) <= set(fixed)
 
 
 def test_each_scene_is_blamed_on_its_own_network():

@@ -54,7 +54,7 @@ def test_given_any_message_with_garbage_in_its_gaps_then_it_is_what_rosbags_writ
 
 
 @given(garbage=st.binary(min_size=7, max_size=7))
-def test_given_equally_long_messages_with_gaps_elsewhere_then_each_is_mended_in_its_own(garbage):
+def test_given_equally_long_messages_with_gaps_elsewhere_then_each_is_fixed_in_its_own(garbage):
     name = 'diagnostic_msgs/msg/KeyValue'
     walk = walk_of(STORE, name)
     kinds = [STORE.types[name](key='a', value='bbbbbb'), STORE.types[name](key='aaaa', value='bb')]
@@ -67,7 +67,7 @@ def test_given_equally_long_messages_with_gaps_elsewhere_then_each_is_mended_in_
             assert walk.without_gaps(other + b'\1') == other
 
 
-def test_given_more_layouts_than_are_remembered_then_every_message_is_mended():
+def test_given_more_layouts_than_are_remembered_then_every_message_is_fixed():
     walk = walk_of(STORE, 'std_msgs/msg/String')
     texts = [bytes(STORE.serialize_cdr(STORE.types['std_msgs/msg/String'](data='a' * size),
                                        'std_msgs/msg/String')) for size in range(40)]

@@ -50,7 +50,7 @@ def test_given_a_whole_run_when_checked_then_nothing_is_wrong(run: Path) -> None
         assert wrong(checkup) == {}
 
 
-def test_given_a_flipped_byte_when_checked_then_its_place_and_what_mends_it_are_told(
+def test_given_a_flipped_byte_when_checked_then_its_place_and_what_fixes_it_are_told(
     run: Path, tmp_path: Path
 ) -> None:
     data = bytearray(run.read_bytes())
@@ -58,7 +58,7 @@ def test_given_a_flipped_byte_when_checked_then_its_place_and_what_mends_it_are_
     (tmp_path / 'x.mcap').write_bytes(data)
     (found,) = check_bag(tmp_path / 'x.mcap').findings
     assert found.where.startswith('x.mcap, byte ')
-    assert found.mend == RECOVER
+    assert found.fix == RECOVER
 
 
 def test_given_a_run_cut_off_when_checked_then_that_is_one_finding(
@@ -109,8 +109,8 @@ def test_given_messages_that_are_lost_doubled_or_wrong_when_checked_then_that_is
     checkup = rewritten(tmp_path, change)
     (text,) = wrong(checkup)['lockstep']
     assert text.startswith(expected)
-    mend = '' if 'nothing tells' in expected else RERUN
-    assert [found.mend for found in checkup.findings] == [mend]
+    fix = '' if 'nothing tells' in expected else RERUN
+    assert [found.fix for found in checkup.findings] == [fix]
 
 
 def test_given_a_command_lost_when_checked_then_the_verdict_is_not_judged_beyond_it(
@@ -212,7 +212,7 @@ def test_given_a_description_that_lies_when_checked_then_it_is_told(
     assert checkup.info.complete is whole
     assert set(wrong(checkup)) == {'structure'}
     assert any(reason in found.what for found in checkup.findings)
-    assert {found.mend for found in checkup.findings} == {RECOVER}
+    assert {found.fix for found in checkup.findings} == {RECOVER}
 
 
 def test_given_a_wrong_type_hash_when_checked_then_its_topic_is_named(tmp_path: Path) -> None:

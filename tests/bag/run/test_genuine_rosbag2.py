@@ -120,18 +120,18 @@ def test_ros6_given_a_compressed_bag_then_one_line_gives_the_command_and_nothing
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(('name', 'mend'), [
+@pytest.mark.parametrize(('name', 'fix'), [
     ('file', 'unzstd {bag}/*.mcap.zstd'),
     ('message', 'ros2 bag reindex {bag}; "compression_mode: MESSAGE" and'),
 ])
 def test_ros6_given_a_compressed_bag_without_its_description_then_the_command_is_another(
-    name, mend, tmp_path, taxinet
+    name, fix, tmp_path, taxinet
 ):
     bag = shutil.copytree(GENUINE / name, tmp_path / name)
     (bag / 'metadata.yaml').unlink()
     code, _, err = taxinet('monitor', bag)
     assert code == 2
-    assert f'compressed by {name}; decompress it: {mend.format(bag=bag)}' in err
+    assert f'compressed by {name}; decompress it: {fix.format(bag=bag)}' in err
 
 
 def test_ros6_given_a_file_that_was_unpacked_beside_itself_then_it_is_read_and_nothing_is_wrong(

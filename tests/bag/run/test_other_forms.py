@@ -152,7 +152,7 @@ def test_given_a_whole_bag_without_metadata_yaml_then_folder_and_file_are_judged
     assert by_folder.sound
     (found,) = check_bag(bag).findings
     assert 'no metadata.yaml' in found.what
-    assert 'recover' in found.mend
+    assert 'recover' in found.fix
 
 
 @pytest.mark.parametrize(('name', 'content', 'reason'), [

@@ -134,7 +134,7 @@ def test_the_commands_of_why_and_analyze_have_everything_that_decided_the_runs(
         assert base == 'training_full'
 
     words = again(compare, seed='4')
-    words[2] = 'truth'  # in place of the mended network
+    words[2] = 'truth'  # in place of the fixed network
     code, _, err = taxinet(*words, '--runs', '2', '--workers', '1', '--out', 'compared')
     assert (code, robustness('compared/before.parquet')) == (0, expected), err
 

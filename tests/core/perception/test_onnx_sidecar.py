@@ -162,7 +162,7 @@ WRONG: list[tuple[str, Any, str]] = [
 
 
 @pytest.mark.parametrize(('key', 'value', 'fragment'), WRONG)
-def test_given_a_value_that_cannot_be_when_read_then_key_value_and_mend_are_named(
+def test_given_a_value_that_cannot_be_when_read_then_key_value_and_fix_are_named(
     key: str, value: Any, fragment: str
 ) -> None:
     assert fragment in complaint(yaml.safe_dump(described({key: value})).encode())

@@ -231,8 +231,8 @@ def test_given_a_start_far_out_when_judged_then_the_runways_own_edge_counts(name
 
 def test_given_another_width_when_judged_by_the_papers_edge_then_the_line_to_write_is_told():
     scene = Scenario(place='nzqn_05', duration_s=1.0)
-    mend = r'here it is 45 m; write inside=always\(abs\(cte\) <= 22.5\)'
-    with pytest.raises(UsageError, match=mend):
+    fix = r'here it is 45 m; write inside=always\(abs\(cte\) <= 22.5\)'
+    with pytest.raises(UsageError, match=fix):
         run_closed_loop(scene, make_perception('truth'), specs=[SHIPPED['on_runway']])
 
 

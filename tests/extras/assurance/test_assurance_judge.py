@@ -114,7 +114,7 @@ def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false()
     assert found.lead_s[1] == -3.0
     assert found.reasons == {'odd': 2, 'unseen': 2}
     guarded = found.with_fallback['stop']
-    assert (guarded.mended, guarded.broken) == (1, 1)
+    assert (guarded.fixed, guarded.broken) == (1, 1)
     assert guarded.off_ratio.value == 2
     assert 'of 5 failed runs 1 have an alarm in time, 2 later, 2 none' in judged_lines(found)[1]
 

@@ -228,7 +228,7 @@ def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tm
     figures = monitor['figures']
     assert (figures['failed'], figures['in_time'], figures['late'], figures['missed']) == (
         2, 1, 1, 0)
-    assert figures['with_fallback']['stop']['mended'] == 1
+    assert figures['with_fallback']['stop']['fixed'] == 1
     assert monitor['campaigns'] == ['campaign-1']
     names = ['alarms.csv', 'assurance.json', 'campaign.db', 'trials.csv']
     for name in names:

@@ -86,7 +86,7 @@ def test_given_fewer_runs_off_the_runway_then_that_is_no_reason_to_refuse():
 
 
 def test_given_fewer_failures_in_all_but_more_at_one_hour_then_the_place_is_named():
-    """60 failures mended at 12-15 h, 18 new ones at 6-9 h."""
+    """60 failures fixed at 12-15 h, 18 new ones at 6-9 h."""
     def campaign(failed: set[int]) -> list[RunRow]:
         return [
             row(index, -1.0 if index in failed else 1.0, distance_m=50.0,

@@ -82,7 +82,7 @@ def test_given_programs_beside_the_file_then_they_are_found_from_anywhere(tmp_pa
     ('workers: 9', 'workers: expected a whole number, 1 to 8, got 9'),
     ('workers: 1\nworkers: 2', 'line 2, column 1: workers is given twice'),
 ])
-def test_given_a_mistake_then_one_line_names_file_key_and_how_to_mend_it(
+def test_given_a_mistake_then_one_line_names_file_key_and_how_to_fix_it(
     tmp_path, text, complaint
 ):
     path = written(tmp_path, text)

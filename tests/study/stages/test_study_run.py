@@ -139,7 +139,7 @@ def test_given_a_stage_that_is_refused_then_the_study_stops_and_goes_on_later(fi
     with pytest.raises(UsageError, match=r'^analyze-original: out of luck$'):
         run_study(out, lines=lines)
     assert len(asked(out)) == 1
-    assert lines[-1] == 'stopped at analyze-original; once it is mended, --resume goes on'
+    assert lines[-1] == 'stopped at analyze-original; once it is fixed, --resume goes on'
     (out / 'fail.txt').unlink()
     assert run_study(out)[0] == 0
     assert [line.split()[0] for line in asked(out)] == ['analyze', 'localize']
@@ -153,7 +153,7 @@ def test_given_a_stage_that_leaves_nothing_behind_then_the_study_stops(
 ):
     ended, lines = run_study(tmp_path / 'study', work=lambda stage, resume: code)
     assert (ended, read_stages(tmp_path / 'study')['train-original'].key) == (ends_with, '')
-    assert lines[-1] == f'stopped at train-original: {why}; once it is mended, --resume goes on'
+    assert lines[-1] == f'stopped at train-original: {why}; once it is fixed, --resume goes on'
 
 
 def test_given_an_original_without_failures_then_nobody_is_asked_whose_fault_they_are(

@@ -162,10 +162,10 @@ def test_given_the_networks_fault_then_it_is_trained_along_the_failed_runs():
         action.commands for action in todo(evidence(blames=Blames(network=4), causes=(WET,))))
     assert train == (
         'taxinet train training_full --start original --add why/cause-1.scenic=2400 --add-runs '
-        'found=4000 --epochs 8 --learning-rate 0.001 --out original-mended.safetensors'
+        'found=4000 --epochs 8 --learning-rate 0.001 --out original-fixed.safetensors'
     )
     assert compare == (
-        'taxinet compare original original-mended.safetensors why/cause-1.scenic --seed 1000003 '
+        'taxinet compare original original-fixed.safetensors why/cause-1.scenic --seed 1000003 '
         '--spec phi_always --set steering.heading_gain=1.1'
     )
 

@@ -147,7 +147,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
 
 
 @pytest.mark.parametrize('case', CASES)
-def test_given_a_bad_folder_when_loaded_then_one_line_says_what_where_and_how_to_mend_it(
+def test_given_a_bad_folder_when_loaded_then_one_line_says_what_where_and_how_to_fix_it(
     case: str, tmp_path: Path
 ) -> None:
     folder = foreign_folder(tmp_path / 'f', images=3)
