@@ -51,7 +51,7 @@ _ALONE = (
 """Modules that start no further processes."""
 _COUNTS = 'taxinet_ros.nodes.graph.command_wrapper'
 """It counts the processes that are left, of which a server would be one."""
-_LEFT_OUT = ('rclpy', 'torch', 'onnxruntime', 'distributed', 'mitsuba', 'jsbsim')
+_LEFT_OUT = ('rclpy', 'torch', 'onnxruntime', 'distributed', 'mitsuba', 'jsbsim', 'pytest')
 """Libraries that begin threads when they are imported, or that few processes need."""
 _MESSAGES = (
     'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'rosgraph_msgs',
