@@ -14,29 +14,21 @@ import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from geometry_msgs.msg import Accel, Point, Pose, Quaternion, Twist, Vector3
-from numpy.typing import NDArray
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.service import Service
 from rclpy.task import Future
 from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
 
-from taxinet_ros.core.control_step import Observation
-from taxinet_ros.core.rig.aircraft_model import AircraftModel
-from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.traffic.traffic import GroundObject
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes.interface import RUN_SCENARIO
 from taxinet_ros.nodes.messages.convert import header, one_line
-from taxinet_ros.registry import WORLDS, names, origin_words
 
 PACKAGE = 'simulation_interfaces'
-EGO = 'ego'
-"""Name of the aircraft under test."""
 _RESULT_KEPT_S = 10
-_MOMENT_NS = 1_000_000
-_NO_CHANGE = Vector3(x=math.nan, y=math.nan, z=math.nan)
+_MOMENT_NS, _MOMENT_S = 1_000_000, 0.001
+_UNKNOWN = Vector3(x=math.nan, y=math.nan, z=math.nan)
 _BEGINS = f'a run begins with a scenario: send a goal to the action {RUN_SCENARIO}'
 
 
@@ -44,63 +36,16 @@ class Entity(NamedTuple):
     """The aircraft under test, or one of the others on the ground.
 
     Attributes:
-        name: unique in its run: :data:`EGO`, or kind and number, from 0, as in the scenario.
+        name: unique in its run: ``ego``, or kind and number, from 0, as in the scenario.
         category: constant of EntityCategory, without ``CATEGORY_``.
         about: what it is.
-        place: of its reference point in ``map`` [m].
-        angles: roll, pitch, yaw [rad].
-        velocity: in ``map`` [m/s].
-        yaw_rate_radps: counter-clockwise [rad/s].
-        low, high: corners of its box, in its own frame [m]; None: it has no outline.
+        state: message EntityState.
     """
 
     name: str
     category: str
     about: str
-    place: tuple[float, float, float]
-    angles: tuple[float, float, float]
-    velocity: tuple[float, float]
-    yaw_rate_radps: float
-    low: NDArray[np.float64] | None
-    high: NDArray[np.float64] | None
-
-    def within(self, centre: NDArray[np.float64], radius_m: float) -> bool:
-        """Whether its box, or its reference point if it has none, overlaps a sphere in ``map``."""
-        away = (centre - self.place) @ rotation(*self.angles)
-        low, high = (np.zeros(3) if one is None else one for one in (self.low, self.high))
-        return bool(np.linalg.norm(away - np.clip(away, low, high)) <= radius_m)
-
-
-def ego(frame: Observation, model: AircraftModel) -> Entity:
-    """The aircraft under test at a control step."""
-    at = frame.state
-    corners = [part.points for part in model.outline if part.shades]
-    points = np.concatenate(corners) if corners else None
-    return Entity(
-        name=EGO, category='ROBOT', about=f'the aircraft under test: {model.title}',
-        place=(at.x_m, at.y_m, at.z_m), angles=(at.roll_rad, at.pitch_rad, at.yaw_rad),
-        velocity=(at.speed_mps * math.cos(at.yaw_rad), at.speed_mps * math.sin(at.yaw_rad)),
-        yaw_rate_radps=at.yaw_rate_radps,
-        low=None if points is None else points.min(axis=0),
-        high=None if points is None else points.max(axis=0),
-    )
-
-
-def other(number: int, one: GroundObject, stamp_ns: int) -> Entity:
-    """One of the others on the ground at a simulated time [ns]."""
-    now, soon = one.pose_at(stamp_ns), one.pose_at(stamp_ns + _MOMENT_NS)
-    turned_rad = math.remainder(soon.heading_rad - now.heading_rad, math.tau)
-    moment_s, (length_m, width_m, height_m) = _MOMENT_NS / 1e9, one.size
-    still = 'HUMAN' if one.kind == 'person' else 'STATIC_OBJECT'
-    return Entity(
-        name=f'{one.kind}_{number}', about=f'{one.colour} {one.kind}',
-        category='DYNAMIC_OBJECT' if one.path and one.kind != 'person' else still,
-        place=(now.x_m, now.y_m, 0.0), angles=(0.0, 0.0, now.heading_rad),
-        velocity=((soon.x_m - now.x_m) / moment_s, (soon.y_m - now.y_m) / moment_s),
-        yaw_rate_radps=turned_rad / moment_s,
-        low=np.array([-length_m / 2, -width_m / 2, 0.0]),
-        high=np.array([length_m / 2, width_m / 2, height_m]),
-    )
+    state: Any
 
 
 def serve(simulator: Any) -> list[ActionServer]:
@@ -114,10 +59,8 @@ def serve(simulator: Any) -> list[ActionServer]:
     try:
         return SimulationInterfaces(simulator).actions
     except (ImportError, AttributeError, UnsupportedTypeSupport) as error:
-        simulator.get_logger().warning(
-            f'{PACKAGE} is not served, as version 2.1 is needed and cannot be loaded: '
-            f'{one_line(error)}'
-        )
+        why = f'version 2.1 is needed, this one does not load: {one_line(error)}'
+        simulator.get_logger().warning(f'{PACKAGE} is not served: {why}')
         return []
 
 
@@ -150,16 +93,13 @@ class SimulationInterfaces:
              ('ENTITY_STATE_GETTING',)),
             (srv.GetEntityState, 'get_entity_state', self._get_entity, ()),
             (srv.GetEntityInfo, 'get_entity_info', self._get_entity, ('ENTITY_INFO_GETTING',)),
-            (srv.GetEntityBounds, 'get_entity_bounds', self._get_entity, ('ENTITY_BOUNDS',)),
             (srv.GetCurrentWorld, 'get_current_world', self._get_world, ('WORLD_INFO_GETTING',)),
-            (srv.GetAvailableWorlds, 'get_available_worlds', self._get_worlds,
-             ('AVAILABLE_WORLDS',)),
         ]
         if self._pauses:
-            rows.append((srv.StepSimulation, 'step_simulation', self._later(self._step), (
+            rows.append((srv.StepSimulation, 'step_simulation', self._later(self._take_steps), (
                 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE', 'STEP_SIMULATION_ACTION',
             )))
-        self._set_state_codes = srv.SetSimulationState.Response
+        self._codes = srv.SetSimulationState.Response
         self._features = [name for *_, features in rows for name in features]
         for kind, name, answer, _ in rows:
             _answer_later(simulator.create_service(kind, name, answer))
@@ -169,62 +109,59 @@ class SimulationInterfaces:
         )] if self._pauses else []
         simulator.get_logger().info(f'serves {PACKAGE}: {len(rows)} services')
 
-    def _later(self, answer: Callable[..., Any]) -> Callable[..., Any]:
-        """Start a coroutine as the answer to a request."""
+    def _later(self, work: Callable[..., Any]) -> Callable[..., Any]:
+        """Callback that starts a coroutine with the request, whose return is the result."""
+        async def answer(request: Any, response: Any) -> Any:
+            response.result = await work(request)
+            return response
+
         return lambda *request: self._simulator.executor.create_task(answer, *request)
 
     def _ok(self) -> Any:
         return self._result(result=self._result.RESULT_OK)
 
+    def _refused(self, code: int, why: str) -> Any:
+        return self._result(result=code, error_message=why)
+
     def _unsupported(self, why: str) -> Any:
-        return self._result(result=self._result.RESULT_FEATURE_UNSUPPORTED, error_message=why)
+        return self._refused(self._result.RESULT_FEATURE_UNSUPPORTED, why)
 
     # The simulation ----------------------------------------------------------------------------
 
     def _get_features(self, _: Any, response: Any) -> Any:
         known = self._msg.SimulatorFeatures
         response.features.features = [getattr(known, name) for name in self._features]
-        response.features.custom_info = (
-            f'taxinet_ros: {_BEGINS}; what is served: docs/ros.md; accelerations are NaN, unknown'
-        )
+        response.features.custom_info = f'taxinet_ros: {_BEGINS}'
         return response
 
     def _state(self) -> int:
         run, known = self._simulator.run, self._msg.SimulationState
         if run is None:
             return int(known.STATE_STOPPED)
-        paused = run.steps.allowed is not None and self._stepper is None
-        return int(known.STATE_PAUSED if paused else known.STATE_PLAYING)
+        playing = run.steps.allowed is None or self._stepper is not None
+        return int(known.STATE_PLAYING if playing else known.STATE_PAUSED)
 
     def _get_state(self, _: Any, response: Any) -> Any:
         response.state.state, response.result = self._state(), self._ok()
         return response
 
-    async def _set_state(self, request: Any, response: Any) -> Any:
-        response.result = await self._state_set(request.state.state)
-        return response
-
-    async def _state_set(self, wanted: int) -> Any:
-        known, codes, run = self._msg.SimulationState, self._set_state_codes, self._simulator.run
+    async def _set_state(self, request: Any) -> Any:
+        wanted, run = request.state.state, self._simulator.run
+        known, codes = self._msg.SimulationState, self._codes
         if wanted not in {known.STATE_STOPPED, known.STATE_PLAYING, known.STATE_PAUSED}:
             return self._unsupported(f'state {wanted}: only STOPPED, PLAYING and PAUSED can be set')
         if wanted == known.STATE_PAUSED and not self._pauses:
             return self._unsupported('a free run (lockstep false) cannot pause: its timing counts')
         if wanted == self._state():
-            return self._result(
-                result=codes.ALREADY_IN_TARGET_STATE, error_message='it is in this state')
+            return self._refused(codes.ALREADY_IN_TARGET_STATE, 'it is in this state')
         if wanted == known.STATE_STOPPED:
             return await self._end()
-        if run is None:
-            pause = wanted == known.STATE_PAUSED
+        pause = wanted == known.STATE_PAUSED
+        if run is None or run.steps.ending is not None:
             code = codes.INCORRECT_TRANSITION if pause else codes.STATE_TRANSITION_ERROR
-            return self._result(result=code, error_message=_BEGINS)
-        if run.steps.ending is not None:
-            return self._result(
-                result=codes.STATE_TRANSITION_ERROR, error_message='the run is just ending')
+            return self._refused(code, _BEGINS if run is None else 'the run is just ending')
         self._stepper = None
-        steps = 0 if wanted == known.STATE_PAUSED else None
-        self._simulator.attempt(lambda run: run.steps.allow(steps))
+        self._simulator.attempt(lambda run: run.steps.allow(0 if pause else None))
         return self._ok()
 
     async def _end(self) -> Any:
@@ -236,20 +173,13 @@ class SimulationInterfaces:
                 await run.rest()
         return self._ok()
 
-    async def _reset(self, request: Any, response: Any) -> Any:
-        whole = {request.SCOPE_DEFAULT, request.SCOPE_ALL}
-        response.result = await self._end() if request.scope in whole else self._unsupported(
-            f'scope {request.scope}: only everything can be reset, SCOPE_DEFAULT or SCOPE_ALL, '
-            f'which ends the run; {_BEGINS}'
-        )
-        return response
-
-    async def _step(self, request: Any, response: Any) -> Any:
-        response.result = await self._take_steps(request.steps)
-        return response
+    async def _reset(self, request: Any) -> Any:
+        if request.scope in {request.SCOPE_DEFAULT, request.SCOPE_ALL}:
+            return await self._end()
+        return self._unsupported(f'scope {request.scope}: only SCOPE_ALL, which ends the run')
 
     async def _simulate_steps(self, goal: Any) -> Any:
-        result = await self._take_steps(goal.request.steps, goal)
+        result = await self._take_steps(goal.request, goal)
         if goal.is_cancel_requested:
             goal.canceled()
         elif result.result == result.RESULT_OK:
@@ -258,12 +188,12 @@ class SimulationInterfaces:
             goal.abort()
         return self._steps.Result(result=result)
 
-    async def _take_steps(self, count: int, goal: Any = None) -> Any:
+    async def _take_steps(self, request: Any, goal: Any = None) -> Any:
         """Take a number of steps; each ends when the next one could begin, or with the run."""
         run, failed = self._simulator.run, self._result.RESULT_OPERATION_FAILED
         if self._state() != self._msg.SimulationState.STATE_PAUSED:
-            return self._result(result=failed, error_message='it is not paused')
-        begun, taken = run.seq, 0
+            return self._refused(failed, 'it is not paused')
+        begun, taken, count = run.seq, 0, request.steps
         mine = self._stepper = object()
         while taken < count and self._stepper is mine and self._simulator.run is run:
             rest = run.rest()
@@ -281,114 +211,105 @@ class SimulationInterfaces:
         if taken == count and (ending is None or ending.outcome.judged):
             return self._ok()
         why = 'it was told to stop' if ending is None else f'the run ended as {ending.outcome}'
-        return self._result(
-            result=failed, error_message=f'{taken} of {count} steps taken: {why}')
+        return self._refused(failed, f'{taken} of {count} steps taken: {why}')
 
-    # Entities and worlds -----------------------------------------------------------------------
+    # Entities and the world --------------------------------------------------------------------
 
-    def _entities(self) -> tuple[int, list[Entity]]:
-        """Time of the newest frame [ns], and all there are in it."""
+    def _entities(self) -> list[Entity]:
+        """All there are in the newest frame."""
         run = self._simulator.run
         if run is None or run.frame is None:
-            return 0, []
-        stamp_ns, objects = run.frame.stamp_ns, run.scenario.others.objects
-        return stamp_ns, [
-            ego(run.frame, run.scenario.aircraft_model),
-            *(other(number, one, stamp_ns) for number, one in enumerate(objects)),
+            return []
+        at, stamp_ns = run.frame.state, run.frame.stamp_ns
+        state = self._entity_state(
+            stamp_ns, (at.x_m, at.y_m, at.z_m), (at.roll_rad, at.pitch_rad, at.yaw_rad),
+            (at.speed_mps * math.cos(at.yaw_rad), at.speed_mps * math.sin(at.yaw_rad)),
+            at.yaw_rate_radps,
+        )
+        about = f'the aircraft under test: {run.scenario.aircraft_model.title}'
+        others = enumerate(run.scenario.others.objects)
+        return [
+            Entity('ego', 'ROBOT', about, state),
+            *(self._other(number, one, stamp_ns) for number, one in others),
         ]
+
+    def _other(self, number: int, one: GroundObject, stamp_ns: int) -> Entity:
+        now, soon = one.pose_at(stamp_ns), one.pose_at(stamp_ns + _MOMENT_NS)
+        turned_rad = math.remainder(soon.heading_rad - now.heading_rad, math.tau)
+        category = 'DYNAMIC_OBJECT' if one.path else 'STATIC_OBJECT'
+        state = self._entity_state(
+            stamp_ns, (now.x_m, now.y_m, 0.0), (0.0, 0.0, now.heading_rad),
+            ((soon.x_m - now.x_m) / _MOMENT_S, (soon.y_m - now.y_m) / _MOMENT_S),
+            turned_rad / _MOMENT_S,
+        )
+        return Entity(
+            f'{one.kind}_{number}', 'HUMAN' if one.kind == 'person' else category,
+            f'{one.colour} {one.kind}', state,
+        )
+
+    def _entity_state(
+        self, stamp_ns: int, place: tuple[float, float, float], angles: tuple[float, float, float],
+        velocity: tuple[float, float], yaw_rate_radps: float,
+    ) -> Any:
+        """State in ``map``, the twist too; its acceleration is unknown."""
+        x, y, z, w = quaternion(*angles)
+        return self._msg.EntityState(
+            header=header(stamp_ns),
+            pose=Pose(
+                position=Point(x=place[0], y=place[1], z=place[2]),
+                orientation=Quaternion(x=x, y=y, z=z, w=w),
+            ),
+            twist=Twist(
+                linear=Vector3(x=velocity[0], y=velocity[1]), angular=Vector3(z=yaw_rate_radps),
+            ),
+            acceleration=Accel(linear=_UNKNOWN, angular=_UNKNOWN),
+        )
 
     def _get_entities(self, request: Any, response: Any) -> Any:
-        asked, bounds = request.filters, request.filters.bounds
-        if asked.tags.tags:
-            response.result = self._unsupported('filters.tags: entities have no tags')
-        elif bounds.type not in {bounds.TYPE_EMPTY, bounds.TYPE_SPHERE}:
-            response.result = self._unsupported('filters.bounds: only TYPE_SPHERE')
-        else:
-            try:
-                stamp_ns, found = self._filtered(asked)
-            except (re.error, IndexError) as error:
-                failed = self._result.RESULT_OPERATION_FAILED
-                response.result = self._result(
-                    result=failed, error_message=f'filters: {one_line(error)}')
-                return response
-            response.result = self._ok()
-            response.entities = [one.name for one in found]
-            if hasattr(response, 'states'):
-                response.states = [self._state_of(one, stamp_ns) for one in found]
-        return response
-
-    def _filtered(self, asked: Any) -> tuple[int, list[Entity]]:
-        """Entities that filters take; names as :func:`re.search` finds them."""
-        named, bounds = re.compile(asked.filter), asked.bounds
+        """Answer GetEntities and GetEntitiesStates; names as :func:`re.search` finds them."""
+        asked = request.filters
+        if asked.tags.tags or asked.bounds.type != asked.bounds.TYPE_EMPTY:
+            response.result = self._unsupported('filters: there are no tags and no bounds')
+            return response
+        try:
+            named = re.compile(asked.filter)
+        except re.error as error:
+            failed = self._result.RESULT_OPERATION_FAILED
+            response.result = self._refused(failed, f'filters.filter: {error}')
+            return response
         categories = {one.category for one in asked.categories}
-        stamp_ns, found = self._entities()
         found = [
-            one for one in found if named.search(one.name)
+            one for one in self._entities() if named.search(one.name)
             and (not categories or self._category(one).category in categories)
         ]
-        if bounds.type == bounds.TYPE_SPHERE:
-            centre, radius_m = bounds.points[0], bounds.points[1].x
-            place = np.array([centre.x, centre.y, centre.z])
-            found = [one for one in found if one.within(place, radius_m)]
-        return stamp_ns, found
+        response.result, response.entities = self._ok(), [one.name for one in found]
+        if hasattr(response, 'states'):
+            response.states = [one.state for one in found]
+        return response
 
     def _get_entity(self, request: Any, response: Any) -> Any:
-        stamp_ns, entities = self._entities()
-        found = next((one for one in entities if one.name == request.entity), None)
-        if found is None:
-            known = ', '.join(one.name for one in entities) or 'none, as nothing runs'
-            response.result = self._result(
-                result=self._result.RESULT_NOT_FOUND,
-                error_message=f'{request.entity!r} is unknown; entities: {known}')
+        """Answer GetEntityState and GetEntityInfo."""
+        entities = {one.name: one for one in self._entities()}
+        one = entities.get(request.entity)
+        if one is None:
+            why = f'{request.entity!r} is unknown; entities: {", ".join(entities) or "none"}'
+            response.result = self._refused(self._result.RESULT_NOT_FOUND, why)
             return response
         response.result = self._ok()
         if hasattr(response, 'state'):
-            response.state = self._state_of(found, stamp_ns)
-        elif hasattr(response, 'info'):
-            response.info.category, response.info.description = self._category(found), found.about
-        elif found.low is not None and found.high is not None:
-            response.bounds.type = response.bounds.TYPE_BOX
-            response.bounds.points = [
-                Vector3(**dict(zip('xyz', corner.tolist(), strict=True)))
-                for corner in (found.high, found.low)
-            ]
+            response.state = one.state
+        else:
+            response.info.category, response.info.description = self._category(one), one.about
         return response
 
     def _category(self, one: Entity) -> Any:
         known = self._msg.EntityCategory
         return known(category=getattr(known, f'CATEGORY_{one.category}'))
 
-    def _state_of(self, one: Entity, stamp_ns: int) -> Any:
-        x, y, z, w = quaternion(*one.angles)
-        return self._msg.EntityState(
-            header=header(stamp_ns),
-            pose=Pose(
-                position=Point(**dict(zip('xyz', one.place, strict=True))),
-                orientation=Quaternion(x=x, y=y, z=z, w=w),
-            ),
-            twist=Twist(
-                linear=Vector3(x=one.velocity[0], y=one.velocity[1]),
-                angular=Vector3(z=one.yaw_rate_radps),
-            ),
-            acceleration=Accel(linear=_NO_CHANGE, angular=_NO_CHANGE),
-        )
-
-    def _world(self, name: str, origin: str) -> Any:
-        resource = self._msg.Resource(uri=name)
-        return self._msg.WorldResource(name=name, world_resource=resource, description=origin)
-
     def _get_world(self, _: Any, response: Any) -> Any:
-        chosen = self._simulator.world
-        response.world, response.result = self._world(chosen.name, chosen.origin), self._ok()
-        return response
-
-    def _get_worlds(self, request: Any, response: Any) -> Any:
-        if request.additional_sources or request.filter.tags:
-            response.result = self._unsupported(
-                'additional_sources, filter.tags: worlds are those that packages add')
-            return response
-        response.worlds = [self._world(name, origin_words(WORLDS, name)) for name in names(WORLDS)]
-        response.result = self._ok()
+        world = self._simulator.world
+        response.world.name = response.world.world_resource.uri = world.name
+        response.world.description, response.result = world.origin, self._ok()
         return response
 
 

@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 
 import rclpy
-from geometry_msgs.msg import Vector3
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from simulation_interfaces import srv
@@ -105,24 +104,18 @@ def offered(client):
     )
 
 
-def sphere(x, y, radius):
-    return Bounds(
-        type=Bounds.TYPE_SPHERE, points=[Vector3(x=x, y=y, z=1.0), Vector3(x=radius)])
-
-
 def look(client):
     """What there is in a run that is paused."""
     one = client.ask('GetEntityState', entity='ego').state
     both = client.ask('GetEntitiesStates', filters=EntityFilters(filter='^(ego|vehicle_0)$'))
     van = both.states[1]
-    info, box = (client.ask(kind, entity='ego') for kind in ('GetEntityInfo', 'GetEntityBounds'))
+    info = client.ask('GetEntityInfo', entity='ego').info
     there = one.pose.position
     return {
         'entities': client.entities(),
         'vehicles': client.entities(filter='^vehicle'),
         'robots': client.entities(
             categories=[EntityCategory(category=EntityCategory.CATEGORY_ROBOT)]),
-        'near': client.entities(bounds=sphere(there.x, there.y, 1.0)),
         'tags': client.entities(tags=TagsFilter(tags=['a'])),
         'box': client.entities(bounds=Bounds(type=Bounds.TYPE_BOX)),
         'nonsense': client.entities(filter='('),
@@ -133,8 +126,7 @@ def look(client):
         'accelerates': repr(one.acceleration.linear.x),
         'both': [list(both.entities), both.states[0] == one or repr(both.states[0]) == repr(one)],
         'van': [van.pose.position.x, van.pose.position.y, van.twist.linear.y],
-        'category': info.info.category.category, 'about': info.info.description,
-        'bounds': [box.bounds.type, [[one.x, one.y, one.z] for one in box.bounds.points]],
+        'category': info.category.category, 'about': info.description,
     }
 
 
@@ -146,7 +138,6 @@ def lockstep(client):
         'nobody': client.entities(),
         'unpaused': client.ask('StepSimulation', steps=1).result.result,
         'world': client.ask('GetCurrentWorld').world.name,
-        'worlds': [one.world_resource.uri for one in client.ask('GetAvailableWorlds').worlds],
     }
     begin()
     client.pause_next()

@@ -29,17 +29,16 @@ PREFIX = os.environ.get('TAXINET_SIMULATION_INTERFACES', '')
 CLIENT = Path(__file__).with_name('simulation_client.py')
 FEATURES = {
     'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING', 'SIMULATION_RESET', 'ENTITY_CATEGORIES',
-    'ENTITY_STATE_GETTING', 'ENTITY_INFO_GETTING', 'ENTITY_BOUNDS', 'WORLD_INFO_GETTING',
-    'AVAILABLE_WORLDS',
+    'ENTITY_STATE_GETTING', 'ENTITY_INFO_GETTING', 'WORLD_INFO_GETTING',
 }
 PAUSING = {
     'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE',
     'STEP_SIMULATION_ACTION',
 }
 SERVICES = [
-    'get_available_worlds', 'get_current_world', 'get_entities', 'get_entities_states',
-    'get_entity_bounds', 'get_entity_info', 'get_entity_state', 'get_simulation_state',
-    'get_simulator_features', 'reset_simulation', 'set_simulation_state',
+    'get_current_world', 'get_entities', 'get_entities_states', 'get_entity_info',
+    'get_entity_state', 'get_simulation_state', 'get_simulator_features', 'reset_simulation',
+    'set_simulation_state',
 ]
 VAN = {
     'kind': 'vehicle', 'x_m': 730, 'y_m': -12, 'heading_deg': 90,
@@ -125,7 +124,6 @@ def test_given_a_client_when_it_pauses_steps_and_stops_runs_then_each_does_so_to
     assert said['refused'] == [ALREADY, NOT_PLAYED, NOT_PAUSED, UNSUPPORTED]
     assert (said['nobody'], said['unpaused']) == ([], FAILED)
     assert said['world'] == 'kmwh'
-    assert 'kmwh' in said['worlds']
 
     assert said['paused'] == [PAUSED, ALREADY]
     result, at_s = said['stepped']
@@ -151,7 +149,7 @@ def test_given_a_client_when_it_pauses_steps_and_stops_runs_then_each_does_so_to
 
     seen, moment_s = said['look'], at_s
     assert seen['entities'] == ['ego', 'vehicle_0', 'cone_1']
-    assert (seen['vehicles'], seen['robots'], seen['near']) == (['vehicle_0'], ['ego'], ['ego'])
+    assert (seen['vehicles'], seen['robots']) == (['vehicle_0'], ['ego'])
     assert (seen['tags'], seen['box'], seen['nonsense']) == (UNSUPPORTED, UNSUPPORTED, FAILED)
     assert seen['unknown'] == NOT_FOUND
     assert (seen['frame'], seen['accelerates']) == ('map', 'nan')
@@ -159,9 +157,6 @@ def test_given_a_client_when_it_pauses_steps_and_stops_runs_then_each_does_so_to
     assert seen['van'] == pytest.approx([730, -12 + 4 * moment_s, 4])
     assert seen['category'] == 1
     assert 'Caravan' in seen['about']
-    kind, (high, low) = seen['bounds']
-    assert kind == 1
-    assert high[0] > 3 > -3 > low[0]
 
 
 def test_given_a_free_run_then_a_pause_is_refused_and_not_offered(tmp_path):
