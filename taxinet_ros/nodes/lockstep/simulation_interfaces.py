@@ -18,7 +18,6 @@ from geometry_msgs.msg import Accel, Point, Pose, Quaternion, Twist, Vector3
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.service import Service
 from rclpy.task import Future
-from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
 
 from taxinet_ros.core.traffic.traffic import GroundObject
 from taxinet_ros.core.types import quaternion
@@ -58,7 +57,7 @@ def serve(simulator: Any) -> list[ActionServer]:
         return []
     try:
         return SimulationInterfaces(simulator).actions
-    except (ImportError, AttributeError, UnsupportedTypeSupport) as error:
+    except Exception as error:  # of any kind: the simulator runs without them
         why = f'version 2.1 is needed, this one does not load: {one_line(error)}'
         simulator.get_logger().warning(f'{PACKAGE} is not served: {why}')
         return []
