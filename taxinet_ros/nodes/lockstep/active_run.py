@@ -258,7 +258,7 @@ class ActiveRun(LiveGraph):
         self.done.set_result(self._ended(ending))
 
     def held(self) -> None:
-        """Release those who wait for the pause."""
+        """Release those who wait for a pause."""
         if not self._rest.done():
             self._rest.set_result(None)
 
@@ -363,4 +363,5 @@ class RunHealth:
             line = f'run {run.run_id} has waited{since} for {waits_for}'
             return Health(level=DiagnosticStatus.WARN, message=line, values=values)
         line = f'step {steps.lockstep.seq} of {run.world.last_seq}' if steps.started else 'starting'
+        line += ', paused' * (steps.allowed == 0)
         return Health(message=f'run {run.run_id}: {line}', values=values)

@@ -161,6 +161,7 @@ class SimulationInterfaces:
             return self._refused(code, _BEGINS if run is None else 'the run is just ending')
         self._stepper = None
         self._simulator.attempt(lambda run: run.steps.allow(0 if pause else None))
+        run.held()  # whoever takes steps need not wait for the current one
         return self._ok()
 
     async def _end(self) -> Any:
