@@ -3,8 +3,9 @@
 Builds taxinet_msgs, and the messages used here of geometry2's tf2_msgs, for which there is no
 wheel. Run it with the environment's own Python, ``.venv/bin/python msg_defs/build_with_wheels.py``.
 It does nothing if the installed messages match the current sources, and keeps a tf2_msgs that was
-installed by other means. If a ROS 2 installation is sourced, use ``colcon build`` instead; it finds
-the original tf2_msgs.
+installed by other means. Arguments are folders of more interface packages, which are built after
+these, such as a checkout of simulation_interfaces. If a ROS 2 installation is sourced, use
+``colcon build`` instead; it finds the original tf2_msgs.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import sysconfig
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 SOURCE = Path(__file__).resolve().parent
 PREFIX = Path(sys.prefix)
@@ -65,6 +67,14 @@ class Package:
 PACKAGES = (Package('taxinet_msgs', SOURCE), Package('tf2_msgs', SOURCE / 'tf2_msgs'))
 
 
+def package_in(folder: Path) -> Package:
+    """The interface package of a folder, which has its name from its package.xml."""
+    name = ElementTree.parse(folder / 'package.xml').findtext('name', '').strip()
+    if re.fullmatch('[a-z][a-z0-9_]*', name) is None:
+        raise BuildError(f'{folder}/package.xml: {name!r} is no name of a package')
+    return Package(name, folder)
+
+
 class BuildError(Exception):
     """The build failed; the message is for the user."""
 
@@ -75,7 +85,8 @@ def sources_digest(package: Package) -> str:
     kinds = ('*.txt', '*.xml', 'msg/*.msg', 'srv/*.srv', 'action/*.action')
     found = {path for kind in kinds for path in package.source.glob(kind)}
     for path in sorted({*found, Path(__file__).resolve()}):
-        digest.update(f'{path.relative_to(SOURCE)}\0{path.stat().st_size}\0'.encode())
+        name = os.path.relpath(path, package.source)
+        digest.update(f'{name}\0{path.stat().st_size}\0'.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -183,9 +194,9 @@ def main() -> int:
         print(f'messages: {sys.executable} is not in a virtual environment', file=sys.stderr)
         return 1
     try:
-        for package in PACKAGES:
+        for package in (*PACKAGES, *(package_in(Path(word).resolve()) for word in sys.argv[1:])):
             bring_up_to_date(package)
-    except BuildError as error:
+    except (BuildError, OSError, ElementTree.ParseError) as error:
         print(error, file=sys.stderr)
         return 1
     return 0

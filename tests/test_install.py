@@ -20,6 +20,8 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 import taxinet_ros
+from taxinet_ros.cli.messages import run_setup_messages
+from taxinet_ros.errors import UsageError
 
 pytestmark = pytest.mark.nightly
 
@@ -230,6 +232,38 @@ def test_ros21_given_a_tf2_msgs_that_is_not_ours_then_the_build_leaves_it_alone(
     build_with_wheels.bring_up_to_date(package)
     assert built == ([] if foreign else ['tf2_msgs'])
     assert package.stamp.exists() is not foreign
+
+
+def test_given_a_folder_with_an_interface_package_then_it_is_built_after_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(REPOSITORY / 'msg_defs')
+    build_with_wheels = importlib.import_module('build_with_wheels')
+    built: list[Any] = []
+    monkeypatch.setattr(build_with_wheels, 'bring_up_to_date', built.append)
+    folder = tmp_path / 'a checkout'
+    folder.mkdir()
+    monkeypatch.setattr(sys, 'argv', ['build', str(folder)])
+    assert build_with_wheels.main() == 1
+    assert 'package.xml' in capsys.readouterr().err
+    (folder / 'package.xml').write_text('<package><name>../it</name></package>')
+    assert build_with_wheels.main() == 1
+    assert "'../it' is no name of a package" in capsys.readouterr().err
+    assert built == []
+    (folder / 'package.xml').write_text('<package><name> their_msgs </name></package>')
+    assert build_with_wheels.main() == 0
+    assert [package.name for package in built] == ['taxinet_msgs', 'tf2_msgs', 'their_msgs']
+    digest = build_with_wheels.sources_digest(built[-1])
+    (folder / 'msg').mkdir()
+    (folder / 'msg' / 'It.msg').write_text('bool it')
+    assert build_with_wheels.sources_digest(built[-1]) != digest
+
+
+def test_given_a_folder_without_package_when_messages_are_set_up_then_it_is_named(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(UsageError, match='no package of ROS 2, without package'):
+        run_setup_messages([tmp_path])
 
 
 def test_given_the_action_when_imported_then_it_carries_a_scenario() -> None:

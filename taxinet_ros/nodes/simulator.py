@@ -25,7 +25,7 @@ from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.lockstep import diagnostics
+from taxinet_ros.nodes.lockstep import diagnostics, simulation_interfaces
 from taxinet_ros.nodes.lockstep.active_run import ActiveRun, RunHealth, not_begun
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health
 from taxinet_ros.nodes.messages.convert import one_line
@@ -89,6 +89,7 @@ class Simulator(Node):
     Attributes:
         timing: when answers take effect.
         world: the world of its runs.
+        run: the current one, if any.
         answer_timeout_s, ready_timeout_s: its parameters [s].
         ends: its publishers and subscriptions.
         transforms: publishes the frames of tf2.
@@ -108,9 +109,8 @@ class Simulator(Node):
         self.pace = RunHealth()
         Diagnostics(self, self.health)
         refuse_unknown(self)
-        self._run: ActiveRun | None = None
-        self._leaving = False
-        self._may_leave_s = 0.0
+        self.run: ActiveRun | None = None
+        self._leaving, self._may_leave_s = False, 0.0
         self.ends = domain.Endpoints(self, self._on_second_publisher)
         for topic in interface.TOPICS:
             if interface.SIMULATOR in topic.publishers:
@@ -121,15 +121,14 @@ class Simulator(Node):
         self.transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
         self.create_subscription(topic.type, topic.name, self._on_death_notice, topic.qos)
-        self._server = ActionServer(
+        self._servers = [ActionServer(
             self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO, self._execute,
-            goal_callback=self._accept, cancel_callback=self._cancel,
-            result_timeout=_RESULT_KEPT_S,
-        )
+            goal_callback=self._accept, cancel_callback=self._cancel, result_timeout=_RESULT_KEPT_S,
+        ), *simulation_interfaces.serve(self)]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
         if self.timing.free:
-            tick = functools.partial(self._attempt, lambda run: run.steps.tick())
+            tick = functools.partial(self.attempt, lambda run: run.steps.tick())
             self.create_timer(_FREE_TICK_S, tick, clock=steady)
 
     def say(self, topic: topics.Topic, message: Any) -> None:
@@ -139,37 +138,38 @@ class Simulator(Node):
     def may_leave(self) -> bool:
         """Whether the current run has ended as INTERRUPTED, or all other nodes have left."""
         self._leaving = True
-        if self._run is not None:
-            self._run.steps.cancel()
+        if self.run is not None:
+            self.run.steps.cancel()
         alone = not self.ends.speakers[interface.SCENARIO.name].get_subscription_count()
-        return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
+        return alone or (self.run is None and time.monotonic() >= self._may_leave_s)
 
     def waits_for(self) -> Iterable[str]:
         """Names of the nodes that the current run waits for: see :class:`.node_main.Waiting`."""
-        run = self._run
+        run = self.run
         if run is None or time.monotonic() - run.steps.heard_s < _STALLED_S:
             return ()
         return run.steps.awaited(diagnostics.PATIENCE_S)
 
     def health(self) -> Health:
         """Health of this node, for diagnostics."""
-        return self.pace.look(self._run)
+        return self.pace.look(self.run)
 
     def close(self) -> None:
         """Leave the graph, since a remaining server would answer the next graph's goals."""
-        self._server.destroy()
+        for server in self._servers:
+            server.destroy()
 
     # The action ------------------------------------------------------------------------------
 
     def _accept(self, goal: Any) -> GoalResponse:
-        if not self._leaving and self._run is None:
+        if not self._leaving and self.run is None:
             return GoalResponse.ACCEPT
         self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
         return GoalResponse.REJECT
 
     def _cancel(self, goal: Any) -> CancelResponse:
         """Refuse to cancel a run that is over, since a cancelled run gets no verdict."""
-        run = self._run
+        run = self.run
         if run is not None and run.goal is goal:  # otherwise it is seen when the run begins
             if run.steps.ending is not None:
                 return CancelResponse.REJECT
@@ -184,13 +184,13 @@ class Simulator(Node):
             result.status = not_begun(goal.request.scenario.run_id, error)
             goal.abort()
             return result
-        self._run = run
+        self.run = run
         if goal.is_cancel_requested:
             run.steps.cancel()
         run.prepare()
         result.status = await run.done
         result.timing, result.account = self.timing.words, run.account
-        self._run = None
+        self.run = None
         run.close()
         self.pace.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
@@ -205,9 +205,9 @@ class Simulator(Node):
 
     # The graph -------------------------------------------------------------------------------
 
-    def _attempt(self, action: Callable[[ActiveRun], None]) -> None:
+    def attempt(self, action: Callable[[ActiveRun], None]) -> None:
         """Do something for the active run; any error ends that run."""
-        run = self._run
+        run = self.run
         if run is None:
             return
         try:
@@ -218,22 +218,22 @@ class Simulator(Node):
             run.steps.fail(InfraKind.SIM, interface.SIMULATOR, one_line(error))
 
     def _on_message(self, topic: Topic, read: Callable[[Any], Any], given: Any) -> None:
-        self._attempt(lambda run: run.on_message(topic, read(given)))
+        self.attempt(lambda run: run.on_message(topic, read(given)))
 
     def _on_death_notice(self, notice: NodeStatus) -> None:
         """A supervisor reports the death of a node, possibly of this one."""
-        if self._run is not None and notice.run_id == self._run.run_id:
-            self._run.steps.fail(InfraKind.DIED, notice.node, notice.detail)
+        if self.run is not None and notice.run_id == self.run.run_id:
+            self.run.steps.fail(InfraKind.DIED, notice.node, notice.detail)
 
     def _on_second_publisher(self, topic: Topic) -> None:
-        run = self._run
+        run = self.run
         if run is not None and run.steps.started and run.steps.ending is None:
             found = domain.brief_intruder(self, topic, run.participants)
             run.steps.fail(InfraKind.INTRUDER, *found)
 
     def _watch(self) -> None:
-        self._attempt(lambda run: run.goal.publish_feedback(run.feedback()))
-        self._attempt(lambda run: run.steps.watch())
+        self.attempt(lambda run: run.goal.publish_feedback(run.feedback()))
+        self.attempt(lambda run: run.steps.watch())
 
 
 def main() -> None:

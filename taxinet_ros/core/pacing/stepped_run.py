@@ -73,6 +73,9 @@ class LiveGraph(Protocol):
     def finish(self, ending: Ending) -> None:
         """Give the ending to the client; called once."""
 
+    def held(self) -> None:
+        """Nothing but the pause keeps the run from its next step; may be called repeatedly."""
+
     def unmatched(self) -> Sequence[str]:
         """Topics on which not all nodes of the run have found each other."""
 
@@ -142,6 +145,7 @@ class SteppedRun:
         ending: how it ended; the recorder may still be closing its bag.
         verdict: the monitor's judgement.
         heard_s: time of the last message that moved it on.
+        allowed: number of steps until it pauses, 0 while it is paused; None: it does not pause.
     """
 
     def __init__(
@@ -166,6 +170,7 @@ class SteppedRun:
         self.started = False
         self.ending: Ending | None = None
         self.verdict: Judged | None = None
+        self.allowed: int | None = None
         self._graph, self._participants, self._late = graph, tuple(participants), late
         self._answer_timeout_s, self._ready_timeout_s = answer_timeout_s, ready_timeout_s
         self._clock = clock
@@ -275,6 +280,20 @@ class SteppedRun:
                 self.ending = ending
             self._finish()
 
+    def allow(self, steps: int | None) -> None:
+        """Pause after this many more steps, 0: before the next one; None: go on without a pause.
+
+        The answers to the current frame still come in, and count. A free run cannot pause: its
+        frames would come at other times.
+
+        Raises:
+            Exception: the world failed.
+        """
+        assert self.free is None
+        self.allowed = steps
+        self._heard()
+        self._go_on()
+
     # Time ---------------------------------------------------------------------------------------
 
     def watch(self) -> None:
@@ -313,7 +332,7 @@ class SteppedRun:
             self.fail(error.kind, error.who, error.detail)
         elif self.free is not None and (who := self.free.silent(now_s, self._answer_timeout_s)):
             self._fail_silent(who)
-        elif silence_s > self._answer_timeout_s:
+        elif silence_s > self._answer_timeout_s and not self._paused:
             self._fail_silent((self.lockstep.missing() or [MTL_MONITOR])[0])
 
     def _fail_silent(self, who: str) -> None:
@@ -361,6 +380,11 @@ class SteppedRun:
     def _seq(self) -> int:
         return max(self.lockstep.seq, 0)
 
+    @property
+    def _paused(self) -> bool:
+        """Whether nothing but a pause keeps the run from its next step."""
+        return self.allowed == 0 and self.lockstep.may_advance and self._command is not None
+
     def _heard(self) -> None:
         self.heard_s = self._clock()
 
@@ -378,7 +402,11 @@ class SteppedRun:
         over = self.lockstep.complete and self.verdict is not None
         if self._unwanted_s is not None and (over or self._command is not None):
             self._end(Ending(Outcome.INTERRUPTED, self._seq))
+        elif self._paused:
+            self._graph.held()
         elif self.lockstep.may_advance and self._command is not None:
+            if self.allowed is not None:
+                self.allowed -= 1
             command, self._command = self._command, None
             self._graph.advance(self._late(self.lockstep.seq, command))
             self._publish()

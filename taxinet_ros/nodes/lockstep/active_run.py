@@ -49,7 +49,9 @@ class ActiveRun(LiveGraph):
 
     Attributes:
         goal: the action's goal handle.
+        scenario: that it takes place in.
         camera: model of its camera.
+        frame: the newest one, once there is one.
         steps: the run itself.
         done: future of the final status.
         account: last message on the timing of a free run.
@@ -84,7 +86,8 @@ class ActiveRun(LiveGraph):
         _ = judging.assumptions  # refused if invalid
         scenario = scenario_of(message)
         check_specs(judging.parsed_specs, scenario)
-        self.camera = scenario.camera_model
+        self.scenario, self.camera = scenario, scenario.camera_model
+        self.frame: Observation | None = None
         may_stop, timing = judging.stop_on is not StopOn.NEVER, node.timing
         if timing.free:
             if may_stop:
@@ -111,6 +114,7 @@ class ActiveRun(LiveGraph):
         self.verdict = interface.VERDICT.type()
         self.account = TimingMessage()
         self.done = Future(executor=node.executor)
+        self._rest = Future(executor=node.executor)
 
     def _bookkeeping(self, timing: Timing, may_stop: bool) -> Lockstep:
         roles: dict[str, Any] = {
@@ -143,7 +147,8 @@ class ActiveRun(LiveGraph):
         )
 
     def close(self) -> None:
-        """Release the world, which is large, at once."""
+        """Release the world, which is large, at once, and those who wait for the run."""
+        self.held()
         close_world(self.world)
         del self.world
 
@@ -219,6 +224,7 @@ class ActiveRun(LiveGraph):
         now = self.world.observe(picture=looked_at)
         for who in sorted(self.listeners(interface.IMAGE)):
             check_picture(now, who)
+        self.frame = now
         return now
 
     def publish(self, frame: Observation) -> None:
@@ -250,6 +256,17 @@ class ActiveRun(LiveGraph):
     def finish(self, ending: Ending) -> None:
         """Give the ending to the client."""
         self.done.set_result(self._ended(ending))
+
+    def held(self) -> None:
+        """Release those who wait for a pause."""
+        if not self._rest.done():
+            self._rest.set_result(None)
+
+    def rest(self) -> Future:
+        """Future that is done when a pause holds the run between two steps, or it is closed."""
+        if self._rest.done():
+            self._rest = Future(executor=self._node.executor)
+        return self._rest
 
     def _ended(self, ending: Ending) -> RunStatus:
         return self.status(
@@ -346,4 +363,5 @@ class RunHealth:
             line = f'run {run.run_id} has waited{since} for {waits_for}'
             return Health(level=DiagnosticStatus.WARN, message=line, values=values)
         line = f'step {steps.lockstep.seq} of {run.world.last_seq}' if steps.started else 'starting'
+        line += ', paused' * (steps.allowed == 0)
         return Health(message=f'run {run.run_id}: {line}', values=values)

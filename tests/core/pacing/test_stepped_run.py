@@ -72,6 +72,9 @@ class Graph:
     def finish(self, ending: Ending) -> None:
         self.finished.append(ending)
 
+    def held(self) -> None:
+        self.said.append('held')
+
     def unmatched(self) -> list[str]:
         return self.deaf
 
@@ -269,6 +272,66 @@ def test_given_a_monitor_that_stops_the_run_then_its_last_step_is_the_current_on
     assert graph.run.ending is None, 'the last frame has no command yet'
     graph.run.command(2, 2 * STEP_NS, GO)
     assert graph.run.ending == Ending(Outcome.FAIL, 2)
+
+
+def test_given_a_pause_then_the_answers_count_and_the_next_frame_waits(graph):
+    graph.get_ready()
+    graph.run.allow(0)
+    graph.answer(0)
+    graph.run.command(0, 0, LATER)
+    assert (graph.said, graph.commands) == (['start', 0, 'held'], [])
+    graph.now_s = 3600.0
+    graph.run.watch()
+    assert graph.run.ending is None, 'nobody is charged with a pause'
+    assert graph.run.awaited(2.0) == []
+    graph.run.allow(None)
+    assert graph.commands == [GO]
+    graph.answer(1)
+    assert graph.said == ['start', 0, 'held', 1, 2]
+    graph.now_s += 10.1
+    graph.run.watch()
+    assert graph.run.ending[2:4] == ('timeout', PERCEPTION), 'silence counts from the pause on'
+
+
+def test_given_a_pause_when_steps_are_allowed_then_so_many_are_taken_and_it_holds_again():
+    graph = Graph(last_seq=4)
+    graph.get_ready()
+    graph.answer(0)
+    graph.run.allow(0)
+    assert graph.said == ['start', 0, 1], 'the answers to the frame are still to come'
+    graph.run.allow(2)
+    for seq in (1, 2, 3):
+        graph.answer(seq)
+    assert graph.said == ['start', 0, 1, 2, 3, 'held']
+    graph.run.allow(1)
+    graph.answer(4)
+    graph.follow(4)
+    graph.run.judged(PASSED)
+    assert graph.run.ending == Ending(Outcome.PASS, 4), 'after the last step nothing is held'
+    assert graph.commands == [GO] * 4
+
+
+def test_given_a_pause_before_the_first_frame_then_it_comes_and_the_second_waits(graph):
+    graph.run.allow(0)
+    graph.get_ready()
+    graph.answer(0)
+    assert graph.said == ['start', 0, 'held']
+
+
+def test_given_a_pause_when_a_node_is_silent_then_it_is_named_and_a_cancel_ends_the_run(graph):
+    graph.run.allow(0)
+    graph.get_ready()
+    graph.run.estimate(0, 0, ERROR)
+    graph.now_s = 10.1
+    graph.run.watch()
+    assert graph.run.ending[2:4] == ('timeout', STEERING_CONTROLLER)
+    other = Graph()
+    other.run.allow(0)
+    other.get_ready()
+    other.answer(0)
+    other.run.cancel()
+    other.run.watch()
+    assert (other.run.ending, other.commands) == (Ending(Outcome.INTERRUPTED, 0), [])
 
 
 def test_given_a_recorder_lost_after_the_verdict_then_there_is_none(graph):
