@@ -34,7 +34,7 @@ def after_steps(graph, steps: int, act) -> None:
 def test_given_a_result_that_is_lost_on_its_way_then_the_sampler_asks_again(tmp_path, monkeypatch):
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
     with composed_graph(options) as graph:
-        server = node_of(graph, interface.SIMULATOR)._server
+        server = node_of(graph, interface.SIMULATOR)._servers[0]
         sent = server._send_result_response
         lost: list[object] = []
         monkeypatch.setattr(
