@@ -240,6 +240,17 @@ def read_texts(path: Path, kind: str, keys: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def record_kinds(path: Path) -> set[str]:
+    """Kinds of the entries of a record, also where its index is damaged.
+
+    Raises:
+        UsageError: it is damaged or of another version.
+    """
+    with _named(path), contextlib.closing(_connect(path, 'ro')) as connection:
+        _check_version(path, connection)
+        return {str(kind) for kind, in connection.execute('SELECT kind FROM entries NOT INDEXED')}
+
+
 def repair_record(path: Path) -> str:
     """Keep what is intact of a damaged record, before its command continues.
 

@@ -6,6 +6,7 @@ import errno
 import fcntl
 import os
 import random
+import re
 import resource
 import signal
 import sqlite3
@@ -21,7 +22,9 @@ from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.record import (
     Record,
     examine_record,
+    read_entry,
     read_record,
+    record_kinds,
     repair_record,
     repaired,
 )
@@ -220,7 +223,7 @@ def test_a_journal_of_an_earlier_state_is_refused_and_undoes_nothing(tmp_path: P
     assert copied
     now = path.read_bytes()
     Path(f'{path}-journal').write_bytes(copied)
-    for attempt in (read_record, Record):
+    for attempt in (read_record, Record, record_kinds):
         with pytest.raises(UsageError, match='-journal: is of an earlier state'):
             attempt(path)
     assert path.read_bytes() == now
@@ -268,6 +271,25 @@ def test_a_change_by_another_program_is_noticed_at_the_next_entry(tmp_path: Path
         connection.close()
         with pytest.raises(RecordError, match='changed by another program'):
             record.put('row', 'more', 1)
+
+
+def test_entries_behind_a_damaged_index_are_seen(tmp_path: Path) -> None:
+    path = make(tmp_path / 'campaign.db')
+    data, hidden = path.read_bytes(), 0
+    for found in re.finditer(b'facts', data):
+        damaged = bytearray(data)
+        damaged[found.start()] ^= 2
+        path.write_bytes(damaged)
+        try:
+            there = read_entry(path, 'facts')
+        except UsageError:
+            continue
+        if there is None:
+            hidden += 1
+            assert 'facts' in record_kinds(path)
+        else:
+            assert there == FACTS
+    assert hidden
 
 
 def test_lost_and_exchanged_entries_are_found(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from taxinet_ros.core.scenario_fields import by_value
 from taxinet_ros.core.system import System
 from taxinet_ros.core.world import find_world, world_and_camera
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.record import RECORD_NAME, read_entry
+from taxinet_ros.files.record import RECORD_NAME, read_entry, record_kinds
 from taxinet_ros.registry import KMWH, WORLDS, find, origins
 from taxinet_ros.scenes.programs import SUFFIX
 from taxinet_ros.trials.options import CampaignOptions
@@ -30,6 +30,7 @@ written after the last run, so that no damage of one page affects both."""
 
 BEGUN, ROW = 'begun', 'row'
 """Kinds of entries: a run that was started, and its result."""
+_OF_A_CAMPAIGN = frozenset({FACTS, SPARE, BEGUN, ROW})
 
 ARMS = 'experiment_arms'
 """The fact that names the folders of all arms of an experiment, including this campaign's."""
@@ -225,8 +226,11 @@ def stack_difference(facts: Mapping[str, Any], what: str) -> str:
 
 def is_campaign(folder: Path) -> bool:
     """Whether a folder has the record of a campaign, possibly a damaged one."""
+    path = folder / RECORD_NAME
+    if not path.is_file():
+        return False
     try:
-        return read_facts(folder) is not None
+        return _facts_of(path) is not None or bool(record_kinds(path) & _OF_A_CAMPAIGN)
     except UsageError:
         return True
 

@@ -252,7 +252,7 @@ def _add_what_was_so(frame: pd.DataFrame) -> None:
 
 
 def _check_rows(path: Path, frame: pd.DataFrame) -> None:
-    """Check names, words and numbers, as :meth:`.row.RunRow.check` does."""
+    """Check that every row is consistent, as in :meth:`.row.RunRow.check`."""
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
     known = {field.key: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
@@ -271,6 +271,44 @@ def _check_rows(path: Path, frame: pd.DataFrame) -> None:
     for name in frame.select_dtypes('float64').columns:
         if not str(name).startswith(RHO):
             _refuse(path, frame[name].abs() == math.inf, f'{name} is not finite')
+    specs = specs_of(frame.columns)
+    if specs:
+        _check_robustness(path, frame, specs)
+    if RHO in frame.columns:
+        _check_headline(path, frame, specs[:1])
+
+
+def _check_robustness(path: Path, frame: pd.DataFrame, specs: Sequence[str]) -> None:
+    """Check outcomes: PASS, the first formula above zero; FAIL, at least one not; else none.
+
+    Formulas after the first may have been added later, so that they did not determine outcomes.
+    """
+    passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
+    above, below = passed | True, passed & False
+    for name in specs:
+        exact = frame[rho_column(name)]
+        lower = frame.get(lower_column(name), exact).fillna(exact)
+        upper = frame.get(upper_column(name), exact).fillna(exact)
+        _refuse(path, ~(passed | failed) & upper.notna(), 'a robustness without a verdict')
+        if name in specs[:1]:
+            above &= lower > 0
+        below |= upper <= 0
+    _refuse(path, passed & ~above, 'PASS, but a robustness is not above 0')
+    _refuse(path, failed & ~below, 'FAIL, but no robustness is 0 or less')
+
+
+def _check_headline(path: Path, frame: pd.DataFrame, headline: Sequence[str]) -> None:
+    """Check that ``rho`` repeats the headline's robustness, as far as that is in the table."""
+    passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
+    rho = frame[RHO]
+    _refuse(path, ~(passed | failed) & rho.notna(), 'a robustness without a verdict')
+    _refuse(path, passed & (rho <= 0), 'PASS, but rho is not above 0')
+    for name in headline:
+        other = frame.get(rho_column(name), rho)
+        same = (rho == other) | (rho.isna() & other.isna())
+        _refuse(path, ~same, f'{RHO} is not {rho_column(name)}')
+    if not headline:
+        _refuse(path, failed & (rho > 0), 'FAIL, but rho is above 0')
 
 
 def _refuse(path: Path, wrong: Any, what: str) -> None:

@@ -126,6 +126,10 @@ def test_given_no_table_or_a_damaged_one_when_read_then_one_line_says_so(tmp_pat
 
 
 @pytest.mark.parametrize(('row', 'column', 'value', 'said'), [
+    (0, 'rho_phi_eventually', -1.0, 'PASS, but a robustness is not above 0'),
+    (0, 'rho', -1.0, 'PASS, but rho is not above 0'),
+    (0, 'outcome', 'FAIL', 'FAIL, but no robustness is 0 or less'),
+    (0, 'outcome', 'INFRA_ERROR', 'a robustness without a verdict'),
     (0, 'outcome', 'GREAT', 'an unknown word for outcome'),
     (0, 'run_id', '../../../etc', 'its run_id is not a plain name'),
     (0, 'index', -1, 'its index is negative'),
@@ -142,6 +146,9 @@ def test_given_a_row_that_cannot_be_then_the_tables_row_is_named(
         dataclasses.replace(run(index, Outcome.PASS), robustness=above) for index in (0, 1)
     ])
     frame.loc[row, column] = value
+    if column == 'rho_phi_eventually':
+        ends = [f'rho_{end}.phi_eventually' for end in ('lower', 'upper')]
+        frame.loc[row, ends] = value
     frame.to_parquet(tmp_path / 'edited.parquet')
     with pytest.raises(UsageError) as caught:
         read_table(tmp_path / 'edited.parquet')

@@ -5,10 +5,11 @@ from __future__ import annotations
 import random
 
 import pandas as pd
+import pytest
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_parquet
-from taxinet_ros.trials.record.table import read_any_table
+from taxinet_ros.trials.record.table import read_any_table, read_table
 
 FRAME = pd.DataFrame({
     'run_id': pd.Series([f'r-{n}' for n in range(30)], dtype='string'), 'index': range(30),
@@ -47,3 +48,34 @@ def test_given_any_flipped_bit_then_the_table_is_refused_by_name_or_the_same(tmp
         else:
             pd.testing.assert_frame_equal(found, frame)
     assert refused > 2000
+
+
+@pytest.mark.parametrize(('row', 'changes', 'said'), [
+    (0, {'rho': -0.5}, 'PASS, but rho is not above 0'),
+    (0, {'rho': None}, 'rho is not rho_near'),
+    (0, {'rho': 0.75}, 'rho is not rho_near'),
+    (1, {'rho': 0.5}, 'rho is not rho_near'),
+    (2, {'outcome': 'INFRA_ERROR', 'rho_near': None}, 'a robustness without a verdict'),
+])
+def test_given_a_rho_that_is_not_the_headlines_then_the_row_is_named(
+    tmp_path, row, changes, said
+):
+    frame = FRAME.copy()
+    for name, value in changes.items():
+        frame.loc[row, name] = value
+    frame.to_parquet(tmp_path / 't.parquet')
+    with pytest.raises(UsageError, match=rf't\.parquet: row {row + 1}: {said}'):
+        read_table(tmp_path / 't.parquet')
+
+
+@pytest.mark.parametrize(('row', 'rho', 'said'), [
+    (0, 0.0, 'PASS, but rho is not above 0'), (1, 0.5, 'FAIL, but rho is above 0'),
+])
+def test_given_rho_alone_then_it_fits_the_outcome(tmp_path, row, rho, said):
+    frame = FRAME.drop(columns='rho_near')
+    frame.to_parquet(tmp_path / 't.parquet')
+    assert len(read_table(tmp_path / 't.parquet')) == 30
+    frame.loc[row, 'rho'] = rho
+    frame.to_parquet(tmp_path / 't.parquet')
+    with pytest.raises(UsageError, match=rf'row {row + 1}: {said}'):
+        read_table(tmp_path / 't.parquet')
