@@ -6,6 +6,8 @@ the same name is a percentage: it is the paper's where ``zulu_time`` or ``cloud_
 
 Any other dataref (``sim/…``) becomes part of the key ``datarefs``, which only X-Plane takes.
 
+``start_percent`` is of ours: a program for any place says by it how far along the aircraft starts.
+
 Sources: CAV 2020 case study, Fig. 3; X-Plane 11 dataref list (``sim/time``, ``sim/weather``).
 """
 
@@ -26,6 +28,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     CLOUDS,
     DATAREFS,
+    DISTANCE,
     PLACE,
     RAIN,
     SHORT_FORMS,
@@ -46,13 +49,14 @@ _SIGNS = frozenset({'zulu_time', 'cloud_type'})
 """Names that say that ``rain_percent`` is the paper's fraction."""
 
 
-def local_hours(zulu_s: float, place: str, date: str) -> float:
+def local_hours(zulu_s: float, place: str, date: str, track: str = RUNWAY_TRACK) -> float:
     """Local time of day [h] at seconds after midnight GMT.
 
     Args:
         zulu_s: seconds [s]; the paper's exceed a day for afternoons west of Greenwich.
         place: place, as a user gives it.
         date: ISO date there, which decides on daylight saving time.
+        track: without effect.
 
     Raises:
         UsageError: no such place.
@@ -67,13 +71,13 @@ def local_hours(zulu_s: float, place: str, date: str) -> float:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PaperName:
-    """A parameter of the paper.
+    """A parameter of the paper, or another that depends on the place.
 
     Attributes:
         key: scenario key that it sets.
         low, high: its range, both ends included.
         unit: of its values.
-        convert: to the key's human unit, given place and date.
+        convert: to the key's human unit, given place, date and track.
         whole: whether it is a whole number.
     """
 
@@ -81,7 +85,7 @@ class PaperName:
     low: float
     high: float
     unit: str
-    convert: Callable[[float, str, str], Any]
+    convert: Callable[[float, str, str, str], Any]
     whole: bool = False
 
     def check(self, name: str, value: Any) -> float:
@@ -108,13 +112,15 @@ _TIME = PaperName(
 )
 _CLOUDS = PaperName(
     key=SKY.key, low=0, high=len(CLOUDS) - 1, unit=f'for {", ".join(CLOUDS)}', whole=True,
-    convert=lambda number, place, date: CLOUDS[int(number)],
+    convert=lambda number, *_: CLOUDS[int(number)],
 )
 _RAIN = PaperName(
     key=RAIN.key, low=0, high=1, unit='as a fraction',
-    convert=lambda fraction, place, date: 100 * fraction,
+    convert=lambda fraction, *_: 100 * fraction,
 )
 _RAIN_PERCENT = RAIN.key
+START = 'start_percent'
+"""How far along a run starts, of what place and track allow [%]."""
 PAPER_NAMES: Mapping[str, PaperName] = MappingProxyType({
     'zulu_time': _TIME,
     'sim/time/zulu_time_sec': _TIME,
@@ -123,11 +129,16 @@ PAPER_NAMES: Mapping[str, PaperName] = MappingProxyType({
     'sim/weather/rain_percent': _RAIN,
     'sim/weather/wind_speed_kt[0]': PaperName(
         key=WIND_SPEED.key, low=0, high=WIND_SPEED.high / _KNOT_MPS, unit='in knots',
-        convert=lambda knots, place, date: knots * _KNOT_MPS,
+        convert=lambda knots, *_: knots * _KNOT_MPS,
     ),
     'sim/weather/wind_direction_degt[0]': PaperName(
         key=WIND_DIRECTION.key, low=0, high=360, unit='in degrees from true north',
-        convert=lambda degrees, place, date: degrees,
+        convert=lambda degrees, *_: degrees,
+    ),
+    START: PaperName(
+        key=DISTANCE.key, low=0, high=100, unit='in percent of the starts that the place allows',
+        convert=lambda percent, place, date, track: (
+            percent / 100 * typed_place(place).track(track).last_start_m),
     ),
 })
 """By name, besides ``rain_percent`` (:func:`paper_name`)."""
@@ -158,7 +169,7 @@ def key_of(name: str, names: Collection[str]) -> str:
     return found.key if found else SHORT_FORMS.get(name, name)
 
 
-def our_value(name: str, value: Any, place: str, date: str) -> Any:
+def our_value(name: str, value: Any, place: str, date: str, track: str) -> Any:
     """The value of the key that a parameter of the paper sets, in its human unit.
 
     Args:
@@ -166,12 +177,13 @@ def our_value(name: str, value: Any, place: str, date: str) -> Any:
         value: of the parameter.
         place: of the scene, as a user gives it.
         date: of the scene, ISO.
+        track: of the scene.
 
     Raises:
         UsageError: it is outside its range.
     """
     meant = PAPER_NAMES.get(name, _RAIN)
-    return meant.convert(meant.check(f'param {name}', value), place, date)
+    return meant.convert(meant.check(f'param {name}', value), place, date, track)
 
 
 def our_values(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -183,11 +195,15 @@ def our_values(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
             and of the track, along which a program places others on the ground.
 
     Raises:
-        UsageError: a value of the paper is outside its range.
+        UsageError: a value is outside its range, or the aircraft's place also says how far along
+            it starts.
     """
     values = by_key(values)
     place = str({**values, **overrides}.get(PLACE.key, DEFAULT_PLACE))
     date = str({**values, **overrides}.get('date', Scenario().date))
+    track = str({**values, **overrides}.get(TRACK.key, RUNWAY_TRACK))
+    if START in values and values.pop(DISTANCE.key):
+        raise UsageError(f'param {START} says how far along it starts; place the ego at (x, 0)')
     found: dict[str, Any] = {}
     datarefs = {name: value for name, value in values.items() if is_dataref(name)}
     if datarefs and DATAREFS.key not in overrides:
@@ -199,9 +215,8 @@ def our_values(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
         if meant is None:
             found[name] = value
         elif meant.key not in overrides:
-            found[meant.key] = our_value(name, value, place, date)
+            found[meant.key] = our_value(name, value, place, date, track)
     if TRAFFIC.key in found and TRAFFIC.key not in overrides:
-        track = str({**values, **overrides}.get(TRACK.key, RUNWAY_TRACK))
         line = typed_place(place).track(track)
         found[TRAFFIC.key] = placed_objects(str(found[TRAFFIC.key]), line)
     return found

@@ -22,12 +22,20 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns
 from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.core import scenario_fields
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
+from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CATALOGUES, DATE, PLACE, SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import (
+    CATALOGUES,
+    DATE,
+    DISTANCE,
+    PLACE,
+    SCENARIO_FIELDS,
+    TRACK,
+)
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.scenes.overrides import overrides_statement
-from taxinet_ros.scenes.paper_names import key_of, our_value, paper_name
+from taxinet_ros.scenes.paper_names import START, key_of, our_value, paper_name
 from taxinet_ros.scenes.programs import (
     SUFFIX,
     find_program,
@@ -284,10 +292,14 @@ def _parameter(key: str, source: str) -> str:
 def _adapted(required: list[str], source: str, overrides: Mapping[str, Any]) -> list[str]:
     """Requirements with what they call ``scene_KEY`` defined, in the table's units and words."""
     said = _parameters(source)
+    if START in said:  # the plane itself stands at 0
+        required = [text.replace(_VALUES[DISTANCE.key], f'scene_{DISTANCE.key}')
+                    for text in required]
     names = {key: _parameter(key, source) for key in _named(required)}
     of_paper = {key: name for key, name in names.items() if paper_name(name, said)}
+    where = {PLACE.key: DEFAULT_PLACE, DATE.key: Scenario().date, TRACK.key: RUNWAY_TRACK}
     values = {
-        key: f'our_value({name!r}, scene_{key}, scene_{PLACE.key}, scene_{DATE.key})'
+        key: f'our_value({name!r}, scene_{key}, {", ".join(f"scene_{one}" for one in where)})'
         for key, name in of_paper.items()
     }
     documents = [key for key in names if key in CATALOGUES]
@@ -297,7 +309,7 @@ def _adapted(required: list[str], source: str, overrides: Mapping[str, Any]) -> 
     lines += [f'from {scenario_fields.__name__} import CATALOGUES'] * bool(documents)
     # A requirement knows the names of a program, but not the parameters of the world.
     lines += [f'scene_{key} = globalParameters[{name!r}]' for key, name in sorted(names.items())]
-    for key, usual in ((PLACE.key, DEFAULT_PLACE), (DATE.key, Scenario().date)) * bool(of_paper):
+    for key, usual in where.items() if of_paper else ():
         if key in overrides:
             lines.append(f'scene_{key} = {overrides[key]!r}')
         elif key not in names:

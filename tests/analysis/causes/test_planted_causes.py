@@ -564,6 +564,18 @@ def test_given_a_program_in_the_papers_names_then_a_causes_program_speaks_them(t
             assert values['time_of_day_h'] >= (18.5 if overrides else 10.5)
 
 
+@pytest.mark.parametrize('overrides', [{}, {'place': 'nzqn_05'}])
+def test_given_starts_in_percent_then_a_causes_program_requires_the_distance(tmp_path, overrides):
+    runs = planted_runs(planted_table(40, 1, lambda t: 0.5).assign(program='mine'), tmp_path)
+    text = 'model runway_world\nparam start_percent = Range(0, 100)\nego = new Plane at (2, 0)\n'
+    runs.facts.update(FACTS, program_text=f'# --- mine.scenic ---\n{text}', overrides=overrides)
+    program = tmp_path / 'cause.scenic'
+    program.write_text(cause_program(
+        runs, cause_of(Interval(feature='distance_m', low=700.0, high=900.0))))
+    with SceneSource(str(program), seed=5) as source:
+        assert all(700 <= source.scene(index).distance_m <= 900 for index in range(6))
+
+
 IN_SETUP = """model runway_world
 scenario Other():
     setup:
