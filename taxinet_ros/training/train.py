@@ -7,7 +7,7 @@ import datetime
 import itertools
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -140,10 +140,10 @@ def _render_scenes(
 
 
 def _domain(options: TrainOptions, groups: Sequence[Sequence[Scenario]]) -> Domain:
-    """What scenes show; of a world of places and cameras no names, but their ranges."""
-    domain = domain_of_scenes(scene.to_human() for scenes in groups for scene in scenes)
+    """What scenes show; of a world of places and cameras no names, but their numbers."""
     unnamed = (PLACE.key, *([CAMERA.key] if options.view else [])) if options.places else ()
-    return {key: values for key, values in domain.items() if key not in unnamed}
+    return domain_of_scenes(
+        (scene.to_human() for scenes in groups for scene in scenes), unnamed=unnamed)
 
 
 def _place_scenes(options: TrainOptions, progress: Progress) -> list[_SceneGroup]:
@@ -246,6 +246,8 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     options.check_out()
     named_places(options.places)
     start = None if options.start is None else load_model(weights_path(options.start))
+    if start is not None and options.view is None:
+        options = replace(options, view=start.card.view)
     if start is not None and start.card.view != options.view:
         raise UsageError(
             f'train: --start {options.start}: sees through the view {start.card.view or "none"}, '

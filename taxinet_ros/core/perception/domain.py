@@ -1,24 +1,25 @@
 """What a network was trained in: camera, places, aircraft, weather and hours of its pictures.
 
-A domain has a list of words, or the least and the greatest number, by scenario key. It is in a
-network's card, or under ``domain`` in the description of an ONNX network. Scenes outside it are
-named before they are run, and where runs are analysed; an unknown domain names none.
+A domain has a list of words, or the least and the greatest number, by scenario key. Of a network
+for any place or camera it has their numbers, such as the width of the runway, instead of their
+names. It is in a network's card, or under ``domain`` in the description of an ONNX network. Scenes
+outside it are named before they are run, and where runs are analysed; an unknown domain names none.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from taxinet_ros.core.place.catalogue import PLACES
 from taxinet_ros.core.rig.catalogue import CAMERAS
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
     BY_KEY,
     CAMERA,
     CAMERA_OFFSETS,
+    CATALOGUES,
     PLACE,
     RAIN,
     SKY,
@@ -31,23 +32,39 @@ from taxinet_ros.files.plain_values import Section, expected
 Domain = Mapping[str, tuple[Any, ...]]
 
 WIDTH = 'runway_width_m'
+_NUMBERS: Mapping[str, tuple[str, str, str, Callable[[Any], float]]] = {
+    WIDTH: (PLACE.key, 'runway width', 'm', lambda place: place.runway.width_m),
+    'camera_aside_m': (CAMERA.key, 'camera aside', 'm', lambda one: abs(one.offset_m[1])),
+    'camera_turned_deg': (
+        CAMERA.key, 'camera turned aside', '°', lambda one: abs(math.degrees(one.yaw_rad))),
+    'camera_down_deg': (
+        CAMERA.key, 'camera turned down', '°', lambda one: math.degrees(one.pitch_rad)),
+    'camera_field_of_view_deg': (
+        CAMERA.key, 'field of view', '°',
+        lambda one: 2 * math.degrees(math.atan(one.width_px / 2 / one.focal_px[0]))),
+}
+"""What describes a document in numbers: key of the document, title, unit, and function of it."""
 _WORDS = tuple(field.key for field in (CAMERA, PLACE, AIRCRAFT_MODEL, TRACK, SKY))
 _OFFSETS = {field.key: (0.0, 0.0) for field in CAMERA_OFFSETS}
 _STEPS = {
-    TIME_OF_DAY.key: 0.5, RAIN.key: 5.0, WIDTH: 0.01,
+    TIME_OF_DAY.key: 0.5, RAIN.key: 5.0,
+    **{key: 0.5 if unit == '°' else 0.01 for key, (_, _, unit, _) in _NUMBERS.items()},
     **{field.key: 0.05 if field.unit == 'm' else 0.5 for field in CAMERA_OFFSETS},
 }
 """Numbers, and to what their ends are rounded outwards: what is drawn does not reach the ends."""
 DOMAIN_KEYS = (*_WORDS, *_STEPS)
 
 
-def domain_of_scenes(scenes: Iterable[Mapping[str, Any]], *, rounded: bool = True) -> Domain:
+def domain_of_scenes(
+    scenes: Iterable[Mapping[str, Any]], *, rounded: bool = True, unnamed: Collection[str] = ()
+) -> Domain:
     """The domain of the pictures of scenes.
 
     Args:
         scenes: values by key in human units, as :meth:`.Scenario.to_human`; ones that are missing
             or empty are left out.
         rounded: whether the ends of ranges are rounded outwards.
+        unnamed: keys of documents that are described by numbers instead of their names.
     """
     seen: dict[str, set[Any]] = {key: set() for key in DOMAIN_KEYS}
     for scene in scenes:
@@ -55,14 +72,16 @@ def domain_of_scenes(scenes: Iterable[Mapping[str, Any]], *, rounded: bool = Tru
             value = scene.get(key)
             if isinstance(value, str | float) and value == value and value != '':
                 seen[key].add(value)
+    for key, (document, _, _, number) in _NUMBERS.items():
+        if key == WIDTH or document in unnamed:
+            seen[key] |= {number(one) for one in _documents(document, seen[document])}
     seen[CAMERA.key] = {_camera_word(word) for word in seen[CAMERA.key]}
-    seen[WIDTH] |= {width for word in seen[PLACE.key] for width in _width_m(word)}
     for key, step in _STEPS.items() if rounded else ():
         ends = [round(value / step, 6) for value in seen[key]]
         seen[key] = {round(end(one) * step, 6) for one in ends for end in (math.floor, math.ceil)}
     return {
         key: _spread(key, values) for key, values in seen.items()
-        if values and (key not in _OFFSETS or any(values))
+        if values and key not in unnamed and (key not in _OFFSETS or any(values))
     }
 
 
@@ -79,21 +98,35 @@ def _camera_word(word: str) -> str:
     return word
 
 
-def _width_m(word: str) -> tuple[float, ...]:
-    try:
-        return (PLACES.typed(word).runway.width_m,)
-    except UsageError:
-        return ()
+def _documents(key: str, words: Iterable[str]) -> Iterator[Any]:
+    for word in words:
+        with contextlib.suppress(UsageError):  # of a campaign that has not been read
+            yield CATALOGUES[key].typed(word)
 
 
 def joined_domains(domains: Sequence[Domain | None]) -> Domain | None:
-    """The domain of all pictures together; None if one is unknown."""
+    """The domain of all pictures together; None if one is unknown.
+
+    What one describes in numbers, such as places, all do.
+    """
     known = [{**_OFFSETS, **domain} for domain in domains if domain is not None]
     if not known or len(known) < len(domains):
         return None
+    unnamed = {key for key, *_ in _NUMBERS.values() if any(key not in one for one in known)}
+    known = [_in_numbers(domain, unnamed) for domain in known]
     keys = [key for key in DOMAIN_KEYS if all(key in domain for domain in known)]
     joined = {key: _spread(key, (one for domain in known for one in domain[key])) for key in keys}
     return {key: values for key, values in joined.items() if values != _OFFSETS.get(key)}
+
+
+def _in_numbers(domain: Domain, unnamed: Collection[str]) -> dict[str, tuple[Any, ...]]:
+    """A domain without the names of these documents, but with what they are in numbers."""
+    found = {key: values for key, values in domain.items() if key not in unnamed}
+    for key, (document, _, _, number) in _NUMBERS.items():
+        if document in unnamed and document in domain:
+            numbers = [number(one) for one in _documents(document, domain[document])]
+            found |= {key: _spread(key, numbers)} if numbers else {}
+    return found
 
 
 def domain_doubts(
@@ -109,11 +142,13 @@ def domain_doubts(
     if domain is None or not scenes:
         return []
     trained = {**_OFFSETS, **domain}
-    here = {**_OFFSETS, **domain_of_scenes(scenes, rounded=False)}
+    # What is named is told by its name alone.
+    unnamed = {document for document, *_ in _NUMBERS.values() if document not in trained}
+    here = {**_OFFSETS, **domain_of_scenes(scenes, rounded=False, unnamed=unnamed)}
     beyond = {
         key: tuple(one for one in here[key] if key in _STEPS or one not in trained[key])
         for key in DOMAIN_KEYS
-        if key != WIDTH and key in trained and key in here
+        if key in trained and key in here and not (key == WIDTH and PLACE.key in trained)
         and _spread(key, (*trained[key], *here[key])) != _spread(key, trained[key])
     }
     if not beyond:
@@ -129,20 +164,26 @@ def domain_words(domain: Domain | None, keys: Iterable[str] = DOMAIN_KEYS) -> st
     """Display text: ``camera wing, place kmwh_04 (30.5 m wide), time of day 06:00 to 18:00``."""
     if domain is None:
         return 'unknown'
-    parts: list[str] = []
-    for field in (BY_KEY[key] for key in keys if key in domain and key != WIDTH):
-        if field.key in _WORDS:
-            text = f'{field.label} {", ".join(domain[field.key])}'
-        elif domain[field.key] == _OFFSETS.get(field.key):
-            text = 'the camera in its place'
-        else:
-            name = field.title if field.key in _OFFSETS else field.label
-            ends = dict.fromkeys(map(field.value_words, domain[field.key]))
-            text = f'{name} {" to ".join(ends)}'
-        if field is PLACE and WIDTH in domain:
-            text += f' ({" to ".join(dict.fromkeys(f"{end:.3g}" for end in domain[WIDTH]))} m wide)'
-        parts.append(text)
-    return ', '.join(dict.fromkeys(parts))
+    said = [key for key in keys if key in domain and not (key == WIDTH and PLACE.key in domain)]
+    return ', '.join(dict.fromkeys(_part_words(key, domain) for key in said))
+
+
+def _part_words(key: str, domain: Domain) -> str:
+    if key in _NUMBERS:
+        _, title, unit, _ = _NUMBERS[key]
+        ends = ' to '.join(dict.fromkeys(f'{end:.3g}' for end in domain[key]))
+        return f'{title} {ends}{unit}' if unit == '°' else f'{title} {ends} {unit}'
+    field = BY_KEY[key]
+    if field.key in _WORDS:
+        text = f'{field.label} {", ".join(domain[field.key])}'
+    elif domain[field.key] == _OFFSETS.get(field.key):
+        return 'the camera in its place'
+    else:
+        name = field.title if field.key in _OFFSETS else field.label
+        text = f'{name} {" to ".join(dict.fromkeys(map(field.value_words, domain[field.key])))}'
+    if field is PLACE and WIDTH in domain:
+        text += f' ({" to ".join(dict.fromkeys(f"{end:.3g}" for end in domain[WIDTH]))} m wide)'
+    return text
 
 
 def read_domain(top: Section) -> Domain | None:

@@ -71,6 +71,42 @@ def test_a_scene_outside_is_named_in_one_line_by_what_is_outside_alone(value, wo
     assert line.endswith(words)
 
 
+ANYWHERE = domain_of_scenes(
+    scenes({'place': 'bikf_10'}, {'place': 'random:20039', 'camera': 'nose', 'distance_m': 0}),
+    unnamed=('place', 'camera'))
+
+
+def test_a_network_for_any_place_and_camera_has_their_numbers():
+    assert ANYWHERE == {
+        'aircraft': ('caravan',), 'track': ('runway',), 'clouds': ('clear',),
+        'time_of_day_h': (12.0, 12.0), 'rain_percent': (0.0, 0.0),
+        'runway_width_m': (23.0, 60.0), 'camera_aside_m': (0.0, 2.17),
+        'camera_turned_deg': (0.0, 4.5), 'camera_down_deg': (8.0, 10.5),
+        'camera_field_of_view_deg': (74.5, 80.5),
+    }
+    assert domain_words(ANYWHERE).endswith(
+        'runway width 23 to 60 m, camera aside 0 to 2.17 m, camera turned aside 0 to 4.5°, '
+        'camera turned down 8 to 10.5°, field of view 74.5 to 80.5°')
+
+
+@pytest.mark.parametrize(('value', 'words'), [
+    ({'place': 'nzqn_05', 'distance_m': 0}, None),  # 45 m
+    ({'place': 'random:20003', 'distance_m': 0}, 'runway width 23 to 60 m; this scene has runway '),
+    ({'camera': 'strut', 'aircraft': 'c172p'}, 'aircraft caravan, camera'),
+])
+def test_another_place_is_outside_such_a_domain_only_by_its_numbers(value, words):
+    found = domain_doubts('net', ANYWHERE, scenes(value))
+    assert (not found) if words is None else words in found[0]
+
+
+def test_a_domain_that_names_its_places_is_joined_to_one_that_does_not_by_numbers():
+    joined = joined_domains([TRAINED, ANYWHERE])
+    assert joined['runway_width_m'] == (23.0, 60.0)
+    assert joined['time_of_day_h'] == (6.0, 18.0)
+    assert not {'place', 'camera'} & set(joined)
+    assert joined['camera_field_of_view_deg'][0] == 74.5
+
+
 def test_scenes_inside_and_networks_of_unknown_domain_are_not_named():
     assert doubts({}, {'time_of_day_h': 18, 'clouds': 'stratus', 'rain_percent': 100}) == []
     # What no picture of the training can tell: where it starts, and what pushes it.
