@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.cli.completion import one_of
+from taxinet_ros.cli.completion import complete_program, one_of
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import PictureOption, ScenarioOption
 from taxinet_ros.errors import UsageError
@@ -70,6 +70,50 @@ def from_nnet(
           f'SHA-256 {nnet.sha256}')
     print(f'as ONNX, its answers to random inputs differ by at most {found.difference:.1g}')
     print(f'written: {out}, {beside} (description: {source})')
+
+
+@network_app.command('describe')
+def describe(
+    network: Annotated[Path, typer.Argument(metavar='NETWORK.onnx', help='an ONNX network')],
+    program: Annotated[
+        str, typer.Option(
+            metavar='PROGRAM', autocompletion=complete_program,
+            help='scenes like those that it was trained on',
+        ),
+    ] = 'training_original',
+    images: Annotated[int, typer.Option(min=50, max=5000, help='pictures to show it')] = 200,
+) -> None:
+    """Find out how an ONNX network is fed and what its outputs are; write its description.
+
+    It sees pictures whose truth is known, prepared in each usual way. If no way explains them, exit
+    code 2: it was fed in another way, or trained in another world.
+    """
+    from taxinet_ros.core.perception.onnx.sidecar import sidecar_path
+    from taxinet_ros.files.atomic import write_atomically
+    from taxinet_ros.training.data.dataset import draw_scenes
+    from taxinet_ros.training.network_description import (
+        LEAST_EXPLAINED,
+        description,
+        find_ways,
+        output_count,
+    )
+
+    beside = sidecar_path(network)
+    if beside.exists() or beside.is_symlink():
+        raise UsageError(f'{beside} already exists; move it away, or use it as it is')
+    outputs = output_count(network)
+    best, second, *_ = find_ways(network, draw_scenes(program, seed=0, images=images))
+    print(f'best of the usual ways, on {images} pictures of {program}:\n  {best.words()}')
+    print(f'next:\n  {second.words()}')
+    if best.explained < LEAST_EXPLAINED:
+        raise UsageError(
+            f'{network}: no usual way explains {100 * LEAST_EXPLAINED:.0f} % of cross-track and '
+            f'heading error on {program}; name scenes like those of its training (--program), or '
+            f'write {beside.name} yourself (docs/onnx.md)'
+        )
+    about = f'Found by taxinet network describe on {images} pictures of {program}; check it.'
+    write_atomically(beside, description(best, outputs, about).encode())
+    print(f'written: {beside}; look at it, then: taxinet network see {network}')
 
 
 @network_app.command('see')
