@@ -50,6 +50,8 @@ class Recipe:
             learning rate falls until the last epoch and most of the gain comes with its fall, so
             stopping early saves time at the cost of accuracy.
         augmented: whether every picture is augmented in each epoch.
+        mirrored: whether half of the pictures are mirrored, with their errors, in each epoch; for
+            pictures of an eye, which has no side.
     """
 
     epochs: int
@@ -58,6 +60,7 @@ class Recipe:
     seed: int
     patience: int = 0
     augmented: bool = False
+    mirrored: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -209,7 +212,12 @@ class _Trainer:
         pictures = self._training.pictures[rows]
         if self._recipe.augmented:
             pictures = augment(pictures, self._chance)
-        loss = _loss(self._answers(pictures), self._targets[rows])
+        targets = self._targets[rows]
+        if self._recipe.mirrored:
+            other = self._chance.random(len(rows)) < 0.5
+            pictures = np.where(other[:, np.newaxis, np.newaxis], pictures[:, :, ::-1], pictures)
+            targets = torch.where(torch.from_numpy(other)[:, None], -targets, targets)
+        loss = _loss(self._answers(pictures), targets)
         self._optimiser.zero_grad()
         loss.backward()
         self._rate = self._optimiser.param_groups[0]['lr']

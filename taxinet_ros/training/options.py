@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from taxinet_ros.core.perception.eye import VIEWS
+from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.core.perception.weights import SUFFIX, Source, card_path
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import SAMPLERS
@@ -50,6 +51,9 @@ class TrainOptions:
         add: pictures added to those of ``program``, with validation pictures in proportion.
         places: places of the scenes in place of a program, words of
             :func:`~taxinet_ros.training.data.places.named_places`.
+        architecture: layers of the network, a name of
+            :data:`~taxinet_ros.core.perception.network.ARCHITECTURES`; None for those of the
+            initial weights, else the default.
         view: virtual camera through which the network sees, a name of
             :data:`~taxinet_ros.core.perception.eye.VIEWS`; None for the frames as they are.
         start: initial weights, as a file or a shipped network's word; None for random ones.
@@ -79,6 +83,7 @@ class TrainOptions:
     validation_program: str | None = None
     add: tuple[Portion, ...] = ()
     places: tuple[str, ...] = ()
+    architecture: str | None = None
     view: str | None = None
     start: str | None = None
     images: int = 12_000
@@ -104,10 +109,7 @@ class TrainOptions:
             raise UsageError(
                 f'train: {which[0]} a program, --place {which[1]} --data given; give exactly one'
             )
-        if self.view is not None and self.view not in VIEWS:
-            raise UsageError(
-                f'train: view {self.view!r} is unknown; known: {", ".join(VIEWS)}'
-            )
+        self._check_words()
         if self.data:
             self._check_data()
         elif self.validation_data is not None:
@@ -120,6 +122,14 @@ class TrainOptions:
         elif self.places and (self.sampler != 'random' or self.validation_program):
             option = '--validation-program' if self.validation_program else '--sampler'
             raise UsageError(f'train: {option} goes with a program, not with --place')
+
+    def _check_words(self) -> None:
+        for name, known in (('view', VIEWS), ('architecture', ARCHITECTURES)):
+            given = getattr(self, name)
+            if given is not None and given not in known:
+                raise UsageError(
+                    f'train: {name} {given!r} is unknown; known: {", ".join(known)}'
+                )
 
     def _check_data(self) -> None:
         for option, given in (
@@ -147,6 +157,7 @@ class TrainOptions:
         for place in self.places:
             words += ['--place', place]
         words += [] if self.view is None else ['--view', self.view]
+        words += [] if self.architecture is None else ['--architecture', self.architecture]
         if self.validation_data is not None:
             words += ['--validation-data', str(self.validation_data)]
         words += self._rendering_words()

@@ -246,8 +246,15 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     options.check_out()
     named_places(options.places)
     start = None if options.start is None else load_model(weights_path(options.start))
-    if start is not None and options.view is None:
-        options = replace(options, view=start.card.view)
+    if start is not None:
+        options = replace(
+            options, view=options.view or start.card.view,
+            architecture=options.architecture or start.card.architecture)
+        if options.architecture != start.card.architecture:
+            raise UsageError(
+                f'train: --start {options.start}: is of architecture {start.card.architecture}, '
+                f'not {options.architecture}'
+            )
     if start is not None and start.card.view != options.view:
         raise UsageError(
             f'train: --start {options.start}: sees through the view {start.card.view or "none"}, '
@@ -287,7 +294,7 @@ def _write(
     """Write weights, card and curves."""
     data = to_bytes(fitted.weights)
     card = ModelCard(
-        architecture=DEFAULT_ARCHITECTURE,
+        architecture=options.architecture or DEFAULT_ARCHITECTURE,
         training_data=material.training_data,
         validation_data=material.validation_data,
         seed=options.seed,
@@ -300,7 +307,7 @@ def _write(
         learning_rate=options.learning_rate,
         patience=options.patience,
         best_epoch=fitted.best_epoch,
-        errors=_measure(fitted.weights, material.validation),
+        errors=_measure(options, fitted.weights, material.validation),
         weights_sha256=digest(data),
         package_version=__version__,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -324,19 +331,22 @@ def _fit(
     recipe = Recipe(
         epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate,
         seed=options.seed, patience=options.patience, augmented=options.augment,
+        mirrored=options.augment and options.view is not None,
     )
-    architecture = ARCHITECTURES[DEFAULT_ARCHITECTURE]
+    architecture = ARCHITECTURES[options.architecture or DEFAULT_ARCHITECTURE]
     return fit(
         architecture, material.training, material.validation, recipe, progress,
         None if start is None else start.weights, options.unfinished / 'epochs.pt',
     )
 
 
-def _measure(weights: Weights, held_back: Dataset) -> dict[str, dict[str, float]]:
+def _measure(
+    options: TrainOptions, weights: Weights, held_back: Dataset
+) -> dict[str, dict[str, float]]:
     from taxinet_ros.core.perception.network import TaxiNet
     from taxinet_ros.training.accuracy import absolute_errors, error_statistics
 
-    network = TaxiNet(ARCHITECTURES[DEFAULT_ARCHITECTURE], weights)
+    network = TaxiNet(ARCHITECTURES[options.architecture or DEFAULT_ARCHITECTURE], weights)
     return error_statistics(absolute_errors(network, held_back))
 
 

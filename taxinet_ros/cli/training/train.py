@@ -37,6 +37,13 @@ def train(
             'repeatable'
         ),
     ] = None,
+    architecture: Annotated[
+        str | None,
+        typer.Option(
+            help='layers of the network: cnn5-64x192, or the wider cnn5w-64x192  [default: those '
+            'of --start, else cnn5-64x192]',
+        ),
+    ] = None,
     view: Annotated[
         str | None,
         typer.Option(help='virtual camera through which the network sees any camera: ahead'),
@@ -112,7 +119,8 @@ def train(
         why = 'with --validation-data all of its images are used; leave one out'
         refuse_given(context, ('validation',), why)
     run_train(TrainOptions(
-        program=program, places=tuple(place or ()), view=view, data=tuple(data or ()),
+        program=program, places=tuple(place or ()), view=view,
+        architecture=architecture, data=tuple(data or ()),
         validation_data=validation_data, out=out,
         sampler=sampler, validation_program=validation_program, start=start,
         add=(

@@ -76,6 +76,9 @@ ARCHITECTURES = {
     'cnn5-64x192': Architecture(
         channels=(16, 32, 64, 96, 96), kernels=(5, 3, 3, 3, 3), hidden=64
     ),
+    'cnn5w-64x192': Architecture(
+        channels=(16, 32, 64, 128, 160), kernels=(5, 3, 3, 3, 3), hidden=96
+    ),
 }
 """Architectures by their name in model cards."""
 DEFAULT_ARCHITECTURE = 'cnn5-64x192'

@@ -41,11 +41,13 @@ _PER_CAMERA = 100
 """Pictures in a row of the same camera at the same place."""
 _MOST_ASIDE_M, _MOST_TURNED_RAD = 10.5, math.radians(36.0)
 """Somewhat more than a test has, so that a network need not extrapolate when it overshoots."""
+_NEAR, _NEAR_M, _NEAR_RAD = 0.4, 2.5, math.radians(10.0)
+"""Share of the pictures where an aircraft is that follows the line, and how near [m], [rad]."""
 _AT_CROSSING, _CROSSING_M = 0.2, 150.0
 """Share of the pictures at crossings, where there are any, and how near to them [m]."""
 _LOWEST_SUN_RAD = math.radians(-1.0)
 _TRIES = 50
-_AS_IT_IS, _MOVED = 0.15, 0.3
+_AS_IT_IS, _MOVED = 0.35, 0.25
 """Shares of the wing camera in its place, and moved; the other cameras are random."""
 _MOST_MOVED_M, _MOST_TURNED_DEG = 0.35, 3.5
 
@@ -124,14 +126,16 @@ def _scene(place: Place, rng: np.random.Generator, rig: dict[str, Any]) -> Scena
     runway = place.runway
     date, time_of_day_s = _daylight(runway, rng)
     rainy = rng.uniform() < 1 / 3
-    aside_m = min(_MOST_ASIDE_M, runway.farthest_start_m)
+    aside_m, turned_rad = min(_MOST_ASIDE_M, runway.farthest_start_m), _MOST_TURNED_RAD
+    if rng.uniform() < _NEAR:
+        aside_m, turned_rad = _NEAR_M, _NEAR_RAD
     return Scenario(
         place=place.text, date=date, time_of_day_s=time_of_day_s,
         clouds=str(rng.choice(RAIN_CLOUDS if rainy else CLOUDS)),
         rain_fraction=float(rng.uniform(0.25, 1.0)) if rainy else 0.0,
         distance_m=_distance_m(runway, rng),
         cross_track_m=float(rng.uniform(-aside_m, aside_m)),
-        heading_rad=float(rng.uniform(-_MOST_TURNED_RAD, _MOST_TURNED_RAD)),
+        heading_rad=float(rng.uniform(-turned_rad, turned_rad)),
         **rig,
     )
 
