@@ -42,6 +42,19 @@ def test_given_the_same_recipe_when_fitted_twice_then_the_weights_are_the_same_b
     assert len({to_bytes(one.weights) for one in (plain[0], *others)}) == 4
 
 
+def test_given_pictures_of_an_eye_when_mirrored_then_one_side_teaches_the_other() -> None:
+    rolled = [dataclasses.replace(one, pictures=np.roll(one.pictures, 32, axis=2))
+              for one in (TRAINING, VALIDATION)]  # 0 is in the middle
+    left, right = rolled[0].take(TRAINING.cte_m > 0), rolled[1].take(VALIDATION.cte_m < 0)
+    found = {}
+    for mirrored in (False, True):
+        recipe = dataclasses.replace(RECIPE, epochs=8, batch=8, mirrored=mirrored)
+        result = fit(ARCHITECTURE, left, right, recipe)
+        answers = TaxiNet(ARCHITECTURE, result.weights).infer(right.pictures)
+        found[mirrored] = np.abs(answers[:, 0] - right.cte_m).mean()
+    assert found[True] < 0.5 * found[False]
+
+
 def test_given_a_simple_world_when_fitted_then_the_loss_falls_and_new_pictures_are_understood() -> (
     None
 ):

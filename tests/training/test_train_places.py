@@ -6,6 +6,7 @@ import dataclasses
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,7 +66,10 @@ def test_given_places_when_scenes_are_drawn_then_they_are_by_place_all_around_an
     assert sum(one != other for one, other in pairwise(places)) == 2
     for place in dict.fromkeys(places):
         own = [scene for scene in scenes if scene.place == place]
-        assert 2 <= len({scene.camera_model.digest for scene in own}) <= 3
+        assert len({scene.camera_model.digest for scene in own}) <= 3
+        near = [abs(one.cross_track_m) <= 2.5 and abs(one.heading_rad) <= math.radians(10)
+                for one in own]
+        assert 0.3 < np.mean(near) < 0.6, 'where an aircraft is that follows the line'
         assert min(scene.heading_rad for scene in own) < math.radians(-30)
         assert max(scene.heading_rad for scene in own) > math.radians(30)
         assert abs(np.mean([scene.cross_track_m for scene in own])) < 1.5
@@ -75,6 +79,7 @@ def test_given_places_when_scenes_are_drawn_then_they_are_by_place_all_around_an
             sun_position(scene.date, scene.time_of_day_s, scene.runway)[1] > math.radians(-1)
             for scene in own
         )
+    assert len({scene.camera_model.digest for scene in scenes}) >= 4
     # A place's scenes do not depend on the others.
     assert drawn(('random:7',), 200) == scenes[201:401]
     assert {scene.camera for scene in drawn(('random:7',), 50, cameras=False)} == {'wing'}
@@ -113,8 +118,21 @@ def test_given_a_training_on_places_when_interrupted_and_resumed_then_the_weight
     train(options(out, resume=True))
     assert out.read_bytes() == whole.read_bytes()
     assert len(rendered) == 3
-    with pytest.raises(UsageError, match='sees through the view ahead, not none'):
-        train(TrainOptions(program='nominal', out=tmp_path / 'x.safetensors', start=str(whole)))
+    more = options(tmp_path / 'more.safetensors', view=None, start=str(whole), epochs=1)
+    assert train(more).view == 'ahead', 'that of the network it starts from'
+
+
+@pytest.mark.parametrize(('changes', 'why'), [
+    ({}, 'sees through the view none, not ahead'),
+    ({'view': None, 'architecture': 'cnn5w-64x192'},
+     'is of architecture cnn5-64x192, not cnn5w-64x192'),
+    ({'architecture': 'resnet'}, "architecture 'resnet' is unknown; known: cnn5-64x192, cnn5w"),
+])
+def test_given_a_start_of_another_kind_then_it_is_refused_by_name(
+    tmp_path: Path, changes: dict[str, Any], why: str
+) -> None:
+    with pytest.raises(UsageError, match=why):
+        train(options(tmp_path / 'x.safetensors', start='taxinet', **changes))
 
 
 def test_given_a_view_when_pictures_are_made_then_they_are_those_of_the_eye(
