@@ -206,6 +206,6 @@ $(DONE)/messages: $(DONE)/packages $(INTERFACES)
 	@touch $@
 
 $(DONE)/tools: setup.py $(CONSTRAINTS) | $(DONE)/packages
-	@echo 'make: installing the tools for tests'
+	@echo 'make: installing what tests and docs need, some 90 packages'
 	@$(CHOOSE_TORCH); $(BEAT); $(INSTALL) --no-build-isolation -e '.[ros,test,dev,docs]'
 	@touch $@
