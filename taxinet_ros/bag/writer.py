@@ -33,8 +33,6 @@ FREE_RUN_METADATA = 'taxinet_free_run'
 """Name of the metadata record of a free run's timing."""
 FORK_METADATA = 'taxinet_fork'
 """Name of the metadata record of what a forked run was forked from."""
-MIN_FREE_BYTES = 1_000_000_000
-"""Free disk space needed to start the bag of a run [bytes]."""
 
 _MEDIA_TYPES = {
     '.json': 'application/json',
@@ -78,7 +76,7 @@ class BagWriter:
 
     def __init__(
         self, folder: Path, topics: Sequence[TopicInfo], *, metadata: Mapping[str, str],
-        attachments: Mapping[str, bytes], min_free_bytes: int = MIN_FREE_BYTES,
+        attachments: Mapping[str, bytes], min_free_bytes: int = 1_000_000_000,
         beside: Mapping[str, str] | None = None, make_parents: bool = True,
     ) -> None:
         """Start a bag.
@@ -250,24 +248,15 @@ def _make_folder(folder: Path, min_free_bytes: int, make_parents: bool) -> None:
     try:
         if make_parents:
             folder.parent.mkdir(parents=True, exist_ok=True)
-        check_room(folder.parent, min_free_bytes)
+        free = shutil.disk_usage(folder.parent).free
+        if free < min_free_bytes:
+            raise UsageError(
+                f'{folder.parent}: {free / 1e9:.3f} GB free on the disk, '
+                f'{min_free_bytes / 1e9:.3f} GB wanted; make room or record elsewhere'
+            )
         folder.mkdir()
     except OSError as error:
         raise _refused(folder, error) from error
-
-
-def check_room(folder: Path, min_free_bytes: int = MIN_FREE_BYTES) -> None:
-    """Check that a disk has room for a bag.
-
-    Raises:
-        UsageError: less is free where the folder is, or is to be.
-    """
-    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-    if (free := shutil.disk_usage(there).free) < min_free_bytes:
-        raise UsageError(
-            f'{folder}: {free / 1e9:.3f} GB free on the disk, {min_free_bytes / 1e9:.3f} GB '
-            'wanted; make room or record elsewhere'
-        )
 
 
 def _refused(path: Path, error: OSError) -> BagWriteError:

@@ -41,7 +41,7 @@ from taxinet_ros.bag.run.messages import (
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
 from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
-from taxinet_ros.bag.writer import FORK_METADATA, MIN_FREE_BYTES, BagWriter
+from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
 from taxinet_ros.core.loop import Step
@@ -75,6 +75,8 @@ _STEPPED = tuple(
     for topic in ((one, topics.TF) if one is topics.ODOMETRY else (one,))
 )
 """Topics of a control step in the recorder's order."""
+MIN_FREE_BYTES = 1_000_000_000
+"""Free disk space needed to start the bag of a run [bytes]."""
 
 
 @functools.cache

@@ -16,7 +16,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.bag.writer import check_room
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.core.provenance import Provenance, stack_id
@@ -175,14 +174,12 @@ class CampaignBook:
         """Check that the folder is new or contains a campaign to resume; nothing is changed.
 
         Raises:
-            UsageError: it is neither, or its disk has no room for a bag.
+            UsageError: it is neither.
         """
         if self._resume:
             check_resumable(self._out)
         else:
             check_new(self._out)
-        if self.options.bags:
-            check_room(self._out)
 
     def __enter__(self) -> Self:
         """Open the record; create it and the folder if there is nothing to resume.

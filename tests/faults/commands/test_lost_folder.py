@@ -93,3 +93,20 @@ def test_f1_given_a_full_disk_when_there_is_room_again_then_the_campaign_ends_as
     assert list(done['retries']) == [2, 2, 2, 0]
     but = [*WALL_CLOCK_COLUMNS, 'retries']
     pd.testing.assert_frame_equal(done.drop(columns=but), whole.drop(columns=but))
+
+
+def test_given_a_disk_that_fills_up_when_a_campaign_goes_on_then_it_pauses_after_two_runs(
+    disk, tmp_path
+):
+    words = ('run', 'nominal', '--runs', '500', *RUNS[:-1])
+    with taxinet(*words, str(disk / 'c'), cwd=tmp_path) as campaign:
+        wait_for(lambda: results(disk / 'c') >= 1)
+        (disk / 'of others').write_bytes(bytes(4_000_000))
+        code, out, err = ended(campaign)
+    assert (code, 'Traceback' in err) == (4, False), err
+    assert 'GB free on the disk, 1.000 GB wanted; make room or record elsewhere' in out
+    table = read_table(disk / 'c')
+    assert table['outcome'].iloc[0] == 'PASS'
+    assert list(table['outcome'])[-2:] == ['INFRA_ERROR'] * 2
+    assert list(table['kind'])[-2:] == ['bag'] * 2
+    assert table['rho'].iloc[-2:].isna().all()
