@@ -63,7 +63,7 @@ unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: install demo test suite nightly bench docs lint format clean distclean asked-python
+.PHONY: install demo test suite nightly bench docs lint format clean distclean asked-python own
 .NOTPARALLEL:
 
 install: $(DONE)/messages
@@ -170,17 +170,20 @@ HEADLESS := import cv2, re, sys; \
 # What the sources in taxinet_ros/core/camera/native ask of a compiler.
 MODERN := \#include <bit>\nstatic_assert(std::bit_cast<int>(0.0F) == 0);\n
 
-# The environment of another checkout, by a link or VENV, would from now on run this one's code.
+# The environment of another checkout, by a link or VENV, would test that one's code, or from now on
+# run this one's. Asked at every call, also when there is nothing to install.
 OWNER := import json, pathlib, sys; from importlib import metadata; \
   text = metadata.distribution("taxinet_ros").read_text("direct_url.json") or "{}"; \
   owner = pathlib.Path(json.loads(text).get("url", "").removeprefix("file://")); \
   sys.exit(owner.is_dir() and not owner.samefile(".") and str(owner))
 
-$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml $(CONSTRAINTS) hashes.txt \
-  $(SHARED) $(NATIVE)
+own: $(DONE)/venv
 	@owner=$$($(BIN)/python -c '$(OWNER)' 2>&1) || case "$$owner" in /*) \
 	  echo "make: $(VENV) belongs to the checkout in $$owner; name another one: VENV=.venv-here" >&2; \
 	  exit 2;; esac
+
+$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml $(CONSTRAINTS) hashes.txt \
+  $(SHARED) $(NATIVE) | own
 	@echo 'make: installing taxinet_ros and what it needs (minutes the first time)'
 	@printf '$(MODERN)' | c++ -std=c++20 -fsyntax-only -x c++ - 2>/dev/null || { \
 	  echo 'make: compiler "c++" knows no C++20; GCC 11, Clang 14 and newer do:' \
@@ -203,6 +206,6 @@ $(DONE)/messages: $(DONE)/packages $(INTERFACES)
 	@touch $@
 
 $(DONE)/tools: setup.py $(CONSTRAINTS) | $(DONE)/packages
-	@echo 'make: installing the tools for tests'
+	@echo 'make: installing what tests and docs need, some 90 packages'
 	@$(CHOOSE_TORCH); $(BEAT); $(INSTALL) --no-build-isolation -e '.[ros,test,dev,docs]'
 	@touch $@

@@ -136,8 +136,8 @@ def _ros(name: str) -> Iterator[Check]:
     except ImportError as error:
         yield Check(
             name, 'broken', f'no ROS 2 in this Python: {error}',
-            'make installs it as wheels, or source a Jazzy installation; --engine loop and '
-            'import taxinet_ros need none',
+            'make installs it as wheels, or source a Jazzy installation; --engine loop --audit 0 '
+            'and import taxinet_ros need none',
         )
         return
     middleware = utilities.get_rmw_implementation_identifier()

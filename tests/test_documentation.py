@@ -12,7 +12,10 @@ from taxinet_ros.errors import ExitCode
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'taxinet_ros'
 PAGE = (ROOT / 'ARCHITECTURE.md').read_text(encoding='utf-8')
-PAGES = sorted([*ROOT.glob('*.md'), *ROOT.glob('docs/**/*.md'), *ROOT.glob('examples/**/*.md')])
+PAGES = sorted([
+    *ROOT.glob('*.md'), *ROOT.glob('docs/**/*.md'), *ROOT.glob('examples/**/*.md'),
+    *ROOT.glob('benchmarks/*.md'),
+])
 ROW = re.compile(r'^\| `(\w+)/` \|[^|]*\|([^|]*)\|$', re.MULTILINE)
 
 

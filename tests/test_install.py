@@ -132,22 +132,25 @@ def test_f10_given_the_pins_then_each_has_hashes_and_a_maker_of_them() -> None:
         assert 'HASHES=yes' in (REPOSITORY / user).read_text()
 
 
+@pytest.mark.parametrize('goal', ['docs', 'test'])
+@pytest.mark.parametrize('done', [(), ('packages', 'messages', 'tools')])
 def test_people4_given_an_environment_of_another_checkout_then_make_leaves_it_alone(
-    tmp_path: Path,
+    tmp_path: Path, goal: str, done: tuple[str, ...],
 ) -> None:
     python = tmp_path / '.venv' / 'bin' / 'python'  # ours, which installs nothing
     python.parent.mkdir(parents=True)
     python.write_text(f'#!/bin/sh\ncase $1 in -c) exec {sys.executable} "$@";; esac; exit 9\n')
     python.chmod(0o755)
     for name in ('.venv/done/venv', 'resource/taxinet_ros', 'setup.py', 'package.xml',
-                 'pyproject.toml', 'constraints.txt', 'hashes.txt'):
+                 'pyproject.toml', 'constraints.txt', 'hashes.txt',
+                 *(f'.venv/done/{name}' for name in done)):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     alone = {name: value for name, value in os.environ.items() if not name.startswith('MAKE')}
-    done = run('make', '-f', REPOSITORY / 'Makefile', 'docs', cwd=tmp_path, env=alone)
-    assert done.returncode == 2
-    assert f'.venv belongs to the checkout in {REPOSITORY}; name another one' in done.stderr
-    assert 'installing' not in done.stdout
+    ended = run('make', '-f', REPOSITORY / 'Makefile', goal, cwd=tmp_path, env=alone)
+    assert ended.returncode == 2
+    assert f'.venv belongs to the checkout in {REPOSITORY}; name another one' in ended.stderr
+    assert ended.stdout == ''
 
 
 @pytest.mark.parametrize(('end', 'code'), [('true', 0), ('kill -9 $$$$', 2)])

@@ -168,29 +168,34 @@ def _parameter(one: Parameter) -> list[str]:
 
 
 def scenario_keys() -> str:
-    """Every key of a scenario, from the table that the code itself uses."""
+    """Every key of a scenario, from the table that the code itself uses.
+
+    It stands in ``reference/scenario.md``, to be read in the repository too; a test compares them,
+    and ``python docs/_site/generated.py`` prints it.
+    """
     plain = tx.Scenario()
     return _table(
-        ('key', 'short form', 'may be', 'default', 'what'),
+        ('key', 'may be', 'default', 'what'),
         [_scenario_key(field, getattr(plain, field.attribute)) for field in SCENARIO_FIELDS],
     )
 
 
 def _scenario_key(field: ScenarioField, default: Any) -> list[str]:
-    if field.kind is Kind.NUMBER:
+    if field.kind is Kind.NUMBER and field.high > 1e9:
+        may_be = 'a whole number'
+    elif field.kind is Kind.NUMBER:
         low, high = field.low / field.si, field.high / field.si
         may_be = f'{low:g} to {high:g}{field.unit_mark}{field.counted}'
     elif field.kind is Kind.SWITCH:
         may_be = 'on, off'
     elif field.catalogue is not None:
-        may_be = 'a shipped name, or a YAML file'
+        may_be = f'{", ".join(field.catalogue.shipped)}, or a YAML file'
     else:
         may_be = ', '.join(field.words) or {Kind.DATE: 'YYYY-MM-DD'}.get(field.kind, 'a word')
     shown = field.to_human(default)
     shown = {True: 'on', False: 'off'}[shown] if field.kind is Kind.SWITCH else shown
     shown = f'{shown:g}' if isinstance(shown, float) else str(shown)
-    short = f'`{field.short}`' if field.short else ''
-    return [f'`{field.key}`', short, may_be, shown, field.title]
+    return [f'`{field.key}`', may_be, shown, field.title]
 
 
 def columns() -> str:
@@ -322,8 +327,11 @@ def _cell(text: str) -> str:
 
 PAGES: dict[str, Callable[[], str]] = {
     function.__name__: function for function in (
-        other_pages, commands, python_names, messages, parameters, scenario_keys, columns,
-        topics_in_bags, exit_codes, infra_kinds, exceptions, examples,
+        other_pages, commands, python_names, messages, parameters, columns, topics_in_bags,
+        exit_codes, infra_kinds, exceptions, examples,
     )
 }
 """Functions by the name that a page's placeholder has."""
+
+if __name__ == '__main__':
+    print(scenario_keys())

@@ -27,6 +27,7 @@ PAGES = {
     'CONTRIBUTING.md': 'project/contributing.md',
     'SECURITY.md': 'project/security.md',
     'CHANGELOG.rst': 'project/changelog.rst',
+    'benchmarks/RESULTS.md': 'project/measurements.md',
 }
 """Files outside ``docs/`` that are pages of the site too."""
 

@@ -93,7 +93,7 @@ class Ratio:
     most: float | None = None
 
 
-# Bounds leave a margin of about the value measured in docs/performance.md: they should detect a
+# Bounds leave a margin of about the value measured in benchmarks/RESULTS.md: they should detect a
 # change that makes the graph expensive, not a busy machine.
 RATIOS = (
     Ratio(

@@ -190,8 +190,8 @@ def _unforeseen(error: BaseException) -> tuple[str, int]:
         return (
             f'no {error.name} in this Python: it belongs to ROS 2 (make installs it as wheels; or '
             'source a Jazzy installation) or to its messages (make, taxinet setup-messages, or '
-            'colcon build with msg_defs); --engine loop needs neither, taxinet doctor says what is '
-            'here'
+            'colcon build with msg_defs); --engine loop --audit 0 needs neither, taxinet doctor '
+            'says what is here'
         ), ExitCode.USAGE
     if isinstance(error, SystemExit) and isinstance(error.__context__, BrokenPipeError):
         return _UNREAD, ExitCode.UNREAD  # so rich ends a program

@@ -75,10 +75,6 @@ _COLUMN_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
     Kind.DOCUMENT: 'string',
 }
-_MESSAGE_TYPES = {
-    Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
-    Kind.DOCUMENT: 'string',
-}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -138,11 +134,6 @@ class ScenarioField:
     def column_type(self) -> str:
         """Its type in tables, as pandas calls it."""
         return _COLUMN_TYPES[self.kind]
-
-    @property
-    def message_type(self) -> str:
-        """Its type in the scenario message."""
-        return _MESSAGE_TYPES[self.kind]
 
     @property
     def unit_mark(self) -> str:

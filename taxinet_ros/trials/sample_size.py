@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.rates import log_evidence_below, share_bounds
+from taxinet_ros.trials.rates import log_evidence_below
 
 MOST_RUNS = 10**9
 """Largest plan; beyond it, bisection and binomial sums lose their digits."""
@@ -195,11 +195,6 @@ def _first(enough: Callable[[int], bool], low: int) -> int | None:
         middle = (low + high) // 2
         low, high = (low, middle) if enough(middle) else (middle, high)
     return high
-
-
-def upper_bound(failures: int, runs: int, confidence: float) -> float:
-    """One-sided upper bound of Clopper and Pearson on the share of failures."""
-    return share_bounds(failures, runs - failures, 1 - confidence)[1]
 
 
 def _fewest(

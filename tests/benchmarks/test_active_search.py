@@ -21,7 +21,7 @@ def means(landscape: str, word: str, seeds: int, runs: int = 200) -> Search:
     })
 
 
-# `benchmarks/searches.py active` has 100 seeds, and docs/falsification.md what came of them.
+# `benchmarks/searches.py active` has 100 seeds, and benchmarks/RESULTS.md what came of them.
 @pytest.mark.parametrize(('landscape', 'seeds'), [('corner', 3), ('twins', 2), ('four', 2)])
 def test_t7_given_a_rare_corner_or_several_regions_when_searched_then_all_are_found(
     landscape: str, seeds: int

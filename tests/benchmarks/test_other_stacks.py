@@ -1,4 +1,4 @@
-"""Where not every bit can be the same, the differences stay where docs/determinism.md says."""
+"""Where not every bit can be the same, the differences stay where benchmarks/RESULTS.md says."""
 
 from __future__ import annotations
 

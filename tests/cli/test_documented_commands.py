@@ -19,7 +19,10 @@ import typer
 from taxinet_ros.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob('*.md'), *ROOT.glob('docs/**/*.md'), *ROOT.glob('examples/**/*.md')])
+PAGES = sorted([
+    *ROOT.glob('*.md'), *ROOT.glob('docs/**/*.md'), *ROOT.glob('examples/**/*.md'),
+    *ROOT.glob('benchmarks/*.md'),
+])
 BLOCK = re.compile(r'^ *```(\S*)\n(.*?)^ *```$', re.MULTILINE | re.DOTALL)
 SHELLS = ('sh', 'bash', 'shell', 'console')
 TYPED = re.compile('taxinet [a-z]')

@@ -16,7 +16,6 @@ from taxinet_ros.trials.sample_size import (
     fewest_runs,
     further_runs,
     plan_with_power,
-    upper_bound,
 )
 
 
@@ -33,7 +32,7 @@ def test_given_no_failure_then_it_is_the_rule_of_three(limit, confidence, runs):
 def test_given_allowed_failures_then_one_run_less_would_not_do(failures, limit):
     runs = fewest_runs(limit, 0.95, failures)
     assert binom.cdf(failures, runs, limit) <= 0.05 < binom.cdf(failures, runs - 1, limit)
-    assert upper_bound(failures, runs, 0.95) <= limit
+    assert share_bounds(failures, runs - failures, 0.05)[1] <= limit
     assert share_bounds(failures, runs - 1 - failures, 0.05)[1] > limit
 
 

@@ -104,7 +104,7 @@ def step_reader(topic: Topic) -> Callable[[Any], Any]:
     """
     if not is_read_raw(topic):
         return lambda message: message
-    # rclpy's message objects cost three times as much, a seventh of a run (docs/performance.md).
+    # rclpy's message objects cost three times as much, a seventh of a run (benchmarks/RESULTS.md).
     decode = decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
     read = _READ[topic.name]
     return lambda cdr: read(decode(cdr))

@@ -41,10 +41,8 @@ ARM = 'experiment_arm'
 EXTENSIONS = 'extensions'
 """The fact that lists the packages of extensions, with their versions and hashes."""
 
-_BY_KEY = ('overrides', 'laid_over', 'original', 'nominal', 'steps')
-"""Facts that have values by scenario key; ``parameters``, of a shrinking, lists keys."""
 _TYPED = ('overrides', 'laid_over')
-"""Those whose values are as somebody typed them."""
+"""Facts that have values by scenario key, as somebody typed them."""
 
 WORLD = 'world'
 """The fact that names the world of the runs; absent on a standing graph."""

@@ -69,8 +69,8 @@ def test_f9_given_a_record_that_is_taken_away_then_the_campaign_ends_and_tells_w
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk on which there is room for a record, but for no bag."""
-    with small_disk(tmp_path / 'disk', '400k') as place:
+    """A disk with 3.5 MB more than a bag asks for."""
+    with small_disk(tmp_path / 'disk', '980000k') as place:
         yield place
 
 
@@ -79,6 +79,8 @@ def test_f1_given_a_full_disk_when_there_is_room_again_then_the_campaign_ends_as
 ):
     few = ['falsify', 'nominal', '--runs', '4', *RUNS[:-1]]
     with taxinet(*few, str(disk / 'c'), cwd=tmp_path) as campaign:
+        wait_for((disk / 'c').exists)
+        (disk / 'of others').write_bytes(bytes(4_000_000))
         code, out, err = ended(campaign)
     assert (code, 'Traceback' in err) == (4, False), err
     assert '3 INFRA_ERROR (3 bag)' in out
@@ -91,3 +93,20 @@ def test_f1_given_a_full_disk_when_there_is_room_again_then_the_campaign_ends_as
     assert list(done['retries']) == [2, 2, 2, 0]
     but = [*WALL_CLOCK_COLUMNS, 'retries']
     pd.testing.assert_frame_equal(done.drop(columns=but), whole.drop(columns=but))
+
+
+def test_given_a_disk_that_fills_up_when_a_campaign_goes_on_then_it_pauses_after_two_runs(
+    disk, tmp_path
+):
+    words = ('run', 'nominal', '--runs', '500', *RUNS[:-1])
+    with taxinet(*words, str(disk / 'c'), cwd=tmp_path) as campaign:
+        wait_for(lambda: results(disk / 'c') >= 1)
+        (disk / 'of others').write_bytes(bytes(4_000_000))
+        code, out, err = ended(campaign)
+    assert (code, 'Traceback' in err) == (4, False), err
+    assert 'GB free on the disk, 1.000 GB wanted; make room or record elsewhere' in out
+    table = read_table(disk / 'c')
+    assert table['outcome'].iloc[0] == 'PASS'
+    assert list(table['outcome'])[-2:] == ['INFRA_ERROR'] * 2
+    assert list(table['kind'])[-2:] == ['bag'] * 2
+    assert table['rho'].iloc[-2:].isna().all()
