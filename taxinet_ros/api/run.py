@@ -507,9 +507,10 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
             The signals ``cte``, ``he``, ``x``, ``speed``, ``steering``, ``cte_estimate``,
             ``he_estimate``, ``cte_sigma`` and ``he_sigma`` (with covariances), ``estimate_gap``,
             ``unusable_share``, ``clearance`` and ``collision`` (with others on the ground) come
-            from the columns of :attr:`Run.trace`, in SI units and radians. Any other numeric column is a signal under its own name; its unit is known if
-            it is in ``attrs['units']``. A column that is read, or the time, is rejected if its
-            unit there is another, or not one of SI, in which formulas compare.
+            from the columns of :attr:`Run.trace`, in SI units and radians. Any other numeric column
+            is a signal under its own name; its unit is known if it is in ``attrs['units']``. A
+            column that is read, or the time, is rejected if its unit there is another, or not one
+            of SI, in which formulas compare.
 
     Returns:
         Signed distance from violation, in the unit of the deciding predicate; > 0 is satisfied.
