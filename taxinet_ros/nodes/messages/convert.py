@@ -6,6 +6,7 @@ are in :mod:`taxinet_ros.nodes.messages.step`.
 
 from __future__ import annotations
 
+import math
 import re
 
 from builtin_interfaces.msg import Time
@@ -77,7 +78,9 @@ def statistics_of(
 
 
 def _sigma_figures(verdict: taxinet.Verdict, name: str) -> dict[str, float]:
-    return {figure: getattr(verdict, f'{name}_{figure}') for figure in SIGMA_FIGURES}
+    values = {figure: getattr(verdict, f'{name}_{figure}') for figure in SIGMA_FIGURES}
+    # One NaN, as in the loop, so that equal statistics compare as such.
+    return {figure: math.nan if math.isnan(one) else one for figure, one in values.items()}
 
 
 def account_message(free: FreeRun, run_id: str) -> TimingMessage:
