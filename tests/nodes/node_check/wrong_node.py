@@ -50,8 +50,6 @@ class Answers:
             time.sleep(0.5 if 'very_slow' in FAULTS else 0.11)
         if ROLE == 'controller':
             self.spoil_command(answer)
-        if 'covariance' in FAULTS:
-            answer.covariance = [0.1, 0.2, 0.0, 0.1]
         if 'seq' in FAULTS:
             answer.seq += 1
         for _ in range(2 if 'twice' in FAULTS else 1):
