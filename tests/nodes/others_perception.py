@@ -15,7 +15,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 SIGMA_M, SIGMA_RAD, BOTH = 0.5, 0.02, 0.004
-KIND, WRONG = sys.argv[1], 'wrong' in sys.argv
+KIND, WRONG = ''.join(sys.argv[1:2]), 'wrong' in sys.argv
 
 
 class Localiser(Node):
