@@ -60,7 +60,7 @@ class TrackingError:
         if {type(self.cte_m), type(self.he_rad)} != _FLOATS or type(self.valid) is not bool:
             check_fields(self)
         if self.covariance is not UNKNOWN_COVARIANCE:
-            object.__setattr__(self, 'covariance', covariance_of(self.covariance))
+            object.__setattr__(self, 'covariance', _covariance_of(self.covariance))
 
     @property
     def cte_sigma_m(self) -> float:
@@ -95,12 +95,8 @@ class TrackingError:
         return self.valid and math.isfinite(self.cte_m) and math.isfinite(self.he_rad)
 
 
-def covariance_of(value: Any) -> Covariance:
-    """Four numbers, row-major, from a covariance as a user or a message gives it.
-
-    Raises:
-        UsageError: not 2 x 2 or four numbers.
-    """
+def _covariance_of(value: Any) -> Covariance:
+    """Four numbers, row-major, from a covariance as a user or a message gives it."""
     try:
         flat = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -56,8 +56,6 @@ NO_ESTIMATE: Final = 'no estimate'
 """Reason of an alarm where there is no usable estimate."""
 SIGMA: Final = 'sigma:'
 """Monitor of what the estimates claim of themselves, ``sigma:METRES``."""
-UNCERTAIN: Final = 'uncertain'
-"""Its check."""
 _FOLDER = Path(__file__).parent / 'calibrations'
 _VERSION = 2
 
@@ -337,11 +335,7 @@ class SigmaMonitor(RuntimeMonitor):
     """
 
     def __init__(self, word: str) -> None:
-        """``word``: ``sigma:METRES``.
-
-        Raises:
-            UsageError: no such limit.
-        """
+        """``word``: ``sigma:METRES``; a UsageError without a limit above 0."""
         try:
             self._limit_m = float(word.removeprefix(SIGMA))
         except ValueError:
@@ -360,9 +354,9 @@ class SigmaMonitor(RuntimeMonitor):
         sigma_m = seen.estimate.cte_sigma_m if seen.estimate.usable else math.nan
         self._recent.append(math.inf if math.isnan(sigma_m) else sigma_m)
         if len(self._recent) < SUSTAINED:
-            return {UNCERTAIN: 0.0}
+            return {'uncertain': 0.0}
         score = min(self._recent) / self._limit_m
-        return {UNCERTAIN: score if math.isinf(score) else math.nextafter(score, -math.inf)}
+        return {'uncertain': score if math.isinf(score) else math.nextafter(score, -math.inf)}
 
 
 class UserMonitor(RuntimeMonitor):
