@@ -62,7 +62,7 @@ PERCEPTIONS = {
     'centimetres': ('return 250.0, 0.1', 'in metres and radians'),
     'chance': (CHANCE, r'forgets: .*got: frame 0: \(.*\), then'),
     'hash order': ('return hash("a") / 2**60, 0.0', 'forgets: .*got: in another process frame 0:'),
-    'three numbers': ('return 0, 0, 0', 'expected a pair'),
+    'three numbers': ('return 0, 0, 0', 'covariance: got .*expected 2 x 2 or 4 numbers'),
     'failure': ('return 1 / 0', 'ZeroDivisionError'),
     'texts': ('return "0.1", "0.2"', 'expected a pair'),
     'one text': ('return "12"', 'expected a pair'),

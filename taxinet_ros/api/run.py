@@ -349,7 +349,8 @@ def run(
     Args:
         scenario: initial condition and environment.
         perception: a word or file as for :func:`load_perception`, its result, or a function from a
-            frame, (200, 360, 3) uint8 RGB, to ``(cte_m, he_rad)``, left positive, or None.
+            frame, (200, 360, 3) uint8 RGB, to ``(cte_m, he_rad)``, left positive, or None;
+            with a third value their 2 x 2 covariance.
         controller: ``steering``, ``FILE.py:NAME``, ``tx.SteeringLaw(tx.SteeringGains(...))``, or a
             function from a :class:`TrackingError` to ``(steering_rad, speed_mps)``.
         specs: names of shipped formulas, ``NAME=FORMULA``, formulas, YAML files of them, or
@@ -504,11 +505,12 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         spec: name of a shipped formula, ``NAME=FORMULA``, a formula, or a :class:`Spec`.
         trace: a row per sample, in order of time, with ``t_ns`` (integer nanoseconds) or ``t_s``.
             The signals ``cte``, ``he``, ``x``, ``speed``, ``steering``, ``cte_estimate``,
-            ``he_estimate``, ``estimate_gap``, ``unusable_share``, ``clearance`` and ``collision``
-            (with others on the ground) come from the columns of :attr:`Run.trace`, in SI units and
-            radians. Any other numeric column is a signal under its own name; its unit is known if
-            it is in ``attrs['units']``. A column that is read, or the time, is rejected if its
-            unit there is another, or not one of SI, in which formulas compare.
+            ``he_estimate``, ``cte_sigma`` and ``he_sigma`` (with covariances), ``estimate_gap``,
+            ``unusable_share``, ``clearance`` and ``collision`` (with others on the ground) come
+            from the columns of :attr:`Run.trace`, in SI units and radians. Any other numeric column
+            is a signal under its own name; its unit is known if it is in ``attrs['units']``. A
+            column that is read, or the time, is rejected if its unit there is another, or not one
+            of SI, in which formulas compare.
 
     Returns:
         Signed distance from violation, in the unit of the deciding predicate; > 0 is satisfied.
@@ -745,7 +747,8 @@ class _FunctionPerception(_Function, Perception):
         found = read_estimate(answer)
         if found is None:
             raise UsageError(
-                f'perception: answered {answer!r:.60}; expected (cte_m, he_rad), or None'
+                f'perception: answered {answer!r:.60}; expected (cte_m, he_rad), also '
+                'with their covariance, or None'
             )
         return found
 

@@ -88,7 +88,8 @@ def signals(
 ) -> dict[str, float]:
     """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
-    A missing estimate is NaN, so no formula about it can be satisfied.
+    A missing estimate is NaN, so no formula about it can be satisfied; so is a standard deviation
+    that the estimate does not claim.
     """
     return {
         'cte': cte_m,
@@ -98,6 +99,8 @@ def signals(
         'steering': command.steering_rad,
         'cte_estimate': estimate.cte_m if estimate.usable else math.nan,
         'he_estimate': estimate.he_rad if estimate.usable else math.nan,
+        'cte_sigma': estimate.cte_sigma_m if estimate.usable else math.nan,
+        'he_sigma': estimate.he_sigma_rad if estimate.usable else math.nan,
         'clearance': clearance_m,
         'collision': float(clearance_m <= 0) if clearance_m == clearance_m else math.nan,
     }

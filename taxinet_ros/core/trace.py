@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taxinet_ros.core.mtl.interval import lower_column, upper_column
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, UNKNOWN_COVARIANCE, TrackingError
 from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 
 if TYPE_CHECKING:
@@ -34,18 +34,26 @@ the track; ``cte_m`` and ``he_rad`` are the truth, ``est_`` the perception's est
 ``steering_rad`` and ``speed_cmd_mps`` the command. Signs are defined in
 :mod:`taxinet_ros.core.types`."""
 
+SIGMA_COLUMNS: Mapping[str, Callable[[TrackingError], float]] = MappingProxyType({
+    'est_cte_sigma_m': lambda estimate: estimate.cte_sigma_m,
+    'est_he_sigma_rad': lambda estimate: estimate.he_sigma_rad,
+})
+"""Standard deviations that an estimate claims [m, rad], where some do."""
+
 CLEARANCE_COLUMN = 'clearance_m'
 """Distance to others on the ground, where there are any."""
 
 COLUMN_UNITS: Mapping[str, str] = MappingProxyType({
-    't_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm',
+    't_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm', 'est_cte_sigma_m': 'm',
+    'est_he_sigma_rad': 'rad',
 })
 """Unit of every column that has one."""
 
 SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
     'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'distance_m',
     'steering': 'steering_rad', 'cte_estimate': 'est_cte_m',
-    'he_estimate': 'est_he_rad', 'clearance': CLEARANCE_COLUMN,
+    'he_estimate': 'est_he_rad', 'cte_sigma': 'est_cte_sigma_m', 'he_sigma': 'est_he_sigma_rad',
+    'clearance': CLEARANCE_COLUMN,
 })
 """Column of each signal of :data:`.mtl.specs.SIGNALS` that does not depend on earlier frames."""
 
@@ -84,8 +92,8 @@ def columns_of_steps(
     Returns:
         ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool (whether the
         estimate was usable, as in formulas), the columns of :data:`STEP_UNITS` as float64 (NaN
-        where it was not), with others :data:`CLEARANCE_COLUMN`, and for each formula
-        ``rho_lower.<name>`` and ``rho_upper.<name>``.
+        where it was not), with others :data:`CLEARANCE_COLUMN`, with a covariance
+        :data:`SIGMA_COLUMNS`, and for each formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
     """
     columns: dict[str, Column] = {
         'seq': np.array([step.observation.seq for step in steps], dtype=np.int64),
@@ -96,6 +104,9 @@ def columns_of_steps(
         columns[name] = np.array([value(step) for step in steps], dtype=np.float64)
     if others:
         columns[CLEARANCE_COLUMN] = np.array([step.clearance_m for step in steps], np.float64)
+    if any(step.estimate.covariance != UNKNOWN_COVARIANCE for step in steps):
+        for name, sigma in SIGMA_COLUMNS.items():
+            columns[name] = np.array([sigma(step.estimate) for step in steps], np.float64)
     for number, spec in enumerate(specs):
         readings = [step.readings[number] for step in steps]
         columns[lower_column(spec)] = np.array([one.lower for one in readings], dtype=np.float64)

@@ -19,8 +19,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
-from taxinet_ros.arguments import check_fields
+import numpy as np
+
+from taxinet_ros.arguments import check_fields, told
+from taxinet_ros.errors import UsageError
 
 NS_PER_S = 1_000_000_000
 FOOT_M = 0.3048
@@ -28,6 +32,11 @@ FOOT_M = 0.3048
 _FLOATS = {float}
 """Type of nearly all numbers below. It is checked first because the values are created in every
 control step, and checking each field by its annotation takes ten times as long."""
+Covariance = tuple[float, float, float, float]
+"""Row-major 2 x 2 covariance of (cross-track error [m], heading error [rad])."""
+UNKNOWN_COVARIANCE: Covariance = (0.0, 0.0, 0.0, 0.0)
+_ROUNDING = 1e-9
+"""Relative asymmetry, or negative eigenvalue, that is rounding in the filter that computed it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,20 +47,70 @@ class TrackingError:
         cte_m: cross-track error [m], left positive.
         he_rad: heading error [rad], nose left positive.
         valid: False if there is no estimate; the numbers are then meaningless.
+        covariance: what an estimate claims about its own errors, four numbers or 2 x 2; a variance
+            of 0 is unknown. The truth claims none.
     """
 
     cte_m: float
     he_rad: float
     valid: bool = True
+    covariance: Covariance = UNKNOWN_COVARIANCE
 
     def __post_init__(self) -> None:
         if {type(self.cte_m), type(self.he_rad)} != _FLOATS or type(self.valid) is not bool:
             check_fields(self)
+        if self.covariance is not UNKNOWN_COVARIANCE:
+            object.__setattr__(self, 'covariance', _covariance_of(self.covariance))
+
+    @property
+    def cte_sigma_m(self) -> float:
+        """Standard deviation claimed for the cross-track error [m]; NaN if unknown."""
+        return _sigma(self.covariance[0])
+
+    @property
+    def he_sigma_rad(self) -> float:
+        """Standard deviation claimed for the heading error [rad]; NaN if unknown."""
+        return _sigma(self.covariance[3])
+
+    @property
+    def covariance_flaw(self) -> str:
+        """Why the covariance of a usable estimate cannot be one; '' if it can."""
+        cte, one, other, he = self.covariance
+        if self.covariance == UNKNOWN_COVARIANCE or not self.usable:
+            return ''
+        product, why = cte * he, ''
+        if not all(map(math.isfinite, self.covariance)):
+            why = 'not finite'
+        elif cte < 0 or he < 0:
+            why = 'a variance is negative'
+        elif abs(one - other) > _ROUNDING * math.sqrt(product):
+            why = 'not symmetric'
+        elif one * other > product * (1 + _ROUNDING):
+            why = 'an eigenvalue is negative'
+        return why and f'covariance [{", ".join(f"{x:g}" for x in self.covariance)}]: {why}'
 
     @property
     def usable(self) -> bool:
         """Whether both numbers are finite and declared valid."""
         return self.valid and math.isfinite(self.cte_m) and math.isfinite(self.he_rad)
+
+
+def _covariance_of(value: Any) -> Covariance:
+    """Four numbers, row-major, from a covariance as a user or a message gives it."""
+    try:
+        flat = np.asarray(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        flat = np.empty(0)
+    if flat.shape not in ((4,), (2, 2)):
+        raise UsageError(
+            f'TrackingError: covariance: got {told(value)}; expected 2 x 2 or 4 numbers'
+        )
+    first, second, third, fourth = flat.ravel().tolist()
+    return first, second, third, fourth
+
+
+def _sigma(variance: float) -> float:
+    return math.sqrt(variance) if 0 < variance < math.inf else math.nan
 
 
 NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)

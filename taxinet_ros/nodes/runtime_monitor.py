@@ -40,8 +40,8 @@ _Key = tuple[str, int]
 _OPTIONS = (
     Parameter(
         name='monitor', default='taxinet',
-        takes=f'{", ".join(monitor_names())}, an .npz file of taxinet assure calibrate, or '
-        'FILE.py:NAME',
+        takes=f'{", ".join(monitor_names())}, an .npz file of taxinet assure calibrate, '
+        'sigma:METRES, or FILE.py:NAME',
         description='the monitor',
     ),
 )

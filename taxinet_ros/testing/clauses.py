@@ -25,7 +25,13 @@ from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import Topic
-from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.core.types import (
+    NS_PER_S,
+    UNKNOWN_COVARIANCE,
+    AircraftState,
+    TaxiCommand,
+    TrackingError,
+)
 
 SIDES: Final = ((3.0, 0.0), (-3.0, 0.0), (0.0, 0.2), (0.0, -0.2))
 """First poses of a run: cross-track error [m] and heading error [rad], in pairs of opposites."""
@@ -347,7 +353,7 @@ def step(seen: Seen) -> str:
 
 
 def values(seen: Seen) -> str:
-    """Fields have their types, numbers are finite, a speed is not below 0; or valid=false.
+    """Fields have their types, finite numbers, a speed from 0, a proper covariance; or valid=false.
 
     Fix: float(x) around each number, bool(x) around valid; say valid=false where you cannot tell; a
     controller brakes
@@ -365,7 +371,8 @@ def bad_answer(answer: Answer) -> str:
         return answer.doubt
     if isinstance(value, TrackingError):
         wrong = value.valid and not value.usable
-        return f'{value.cte_m:g} m, {value.he_rad:g} rad, valid=true' if wrong else ''
+        said = f'{value.cte_m:g} m, {value.he_rad:g} rad, valid=true' if wrong else ''
+        return said or value.covariance_flaw
     fits = math.isfinite(value.steering_rad) and 0 <= value.speed_mps < math.inf
     return '' if fits else f'{value.steering_rad:g} rad at {value.speed_mps:g} m/s'
 
@@ -402,7 +409,8 @@ def _shown(value: TrackingError | TaxiCommand) -> str:
     """All digits of an answer: what is equal in them is equal, also NaN."""
     if isinstance(value, TaxiCommand):
         return f'({value.steering_rad!r}, {value.speed_mps!r})'
-    return f'({value.cte_m!r}, {value.he_rad!r})' if value.valid else '(valid=False)'
+    claimed = '' if value.covariance == UNKNOWN_COVARIANCE else f', {list(value.covariance)!r}'
+    return f'({value.cte_m!r}, {value.he_rad!r}{claimed})' if value.valid else '(valid=False)'
 
 
 def bad_input(seen: Seen) -> str:

@@ -275,12 +275,22 @@ def row_line(row: RunRow) -> Text:
                 f'{row.unusable_estimates} of {row.steps} estimates unusable  ', style='yellow'
             )
         text.append(f'{free_run_line(row.free)}  ' if row.free else '')
+        text.append(f'{_sigma_words(row.sigma)}  ' if row.sigma else '')
     else:
         words = [word for word in (row.kind, row.who) if word]
         text.append(f' {" ".join(words)}: ' if words else ' ')
         text.append(f'{row.detail}  ')
     text.append(scene_words(row), style='dim')
     return text
+
+
+def _sigma_words(sigma: Mapping[str, float]) -> str:
+    """What covariances claimed of the errors, and how it fits."""
+    return ', '.join(
+        f'{name.upper()} sigma <= {sigma[most]:.2f} {unit} ({sigma[f"{name}_within_1"]:.0%} of '
+        f'errors within 1, {sigma[f"{name}_within_2"]:.0%} within 2)'
+        for name, unit in (('cte', 'm'), ('he', 'deg')) if (most := f'{name}_max_{unit}') in sigma
+    )
 
 
 def rho_words(row: RunRow, width: int = 0) -> str:

@@ -84,7 +84,7 @@ def asked(monkeypatch, capfd, **environment):
     ('taxinet|camera|frame|--set|clouds|=|ci', 6, ['cirrus']),
     ('taxinet|fork|RUN|--set|runway_state|=|i', 6, ['icy']),
     ('taxinet|falsify|s_falsif|--sampler|ce|--sampler-option|fl', 6, ['floor=']),
-    ('taxinet|falsify|s_falsif|--bound|ct', 4, ['cte=', 'cte_estimate=']),
+    ('taxinet|falsify|s_falsif|--bound|ct', 4, ['cte=', 'cte_estimate=', 'cte_sigma=']),
 ])
 def test_given_bash_when_it_asks_then_it_gets_what_replaces_its_piece_of_the_word(
     typed, place, offered, monkeypatch, capfd

@@ -102,6 +102,12 @@ _FIGURES = {
     'settle_time': ('settled after', 1.0, 's'),
     'estimate_cte_error_mean_abs': ('estimate of CTE off by', 1.0, 'm'),
     'estimate_he_error_mean_abs': ('of HE by', 180 / math.pi, 'deg on average'),
+    'cte_sigma_max': ('claimed sigma of CTE at most', 1.0, 'm'),
+    'cte_within_1_sigma': ('error within 1 sigma in', 100.0, '%'),
+    'cte_within_2_sigma': ('within 2 in', 100.0, '%'),
+    'he_sigma_max': ('claimed sigma of HE at most', 180 / math.pi, 'deg'),
+    'he_within_1_sigma': ('error within 1 sigma in', 100.0, '%'),
+    'he_within_2_sigma': ('within 2 in', 100.0, '%'),
 }
 """Words, factor and unit for some fields of a verdict."""
 

@@ -192,6 +192,7 @@ class CampaignRuns:
         anytime: whether the number of runs was not fixed before the first one.
         blind: number of runs that passed though more of their frames had no usable estimate than
             the requirement ``usable`` allows.
+        claimed: what covariances claimed of the errors, and how it fits, as a sentence; ''.
         unrecorded: what is not recorded and had to be assumed, as a sentence without its full
             stop; ''.
     """
@@ -214,6 +215,7 @@ class CampaignRuns:
     uncounted: int = 0
     anytime: bool = False
     blind: int = 0
+    claimed: str = ''
     unrecorded: str = ''
 
     @property
@@ -319,7 +321,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         others=others, kinds=kinds,
         undecided=int((~decided).sum()), weighting=weighting, bounds=bounds,
         uncounted=int((drawn & (judged['index'] >= counted)).sum()), blind=_blind(judged),
-        unrecorded=_unrecorded(table, facts),
+        claimed=_claimed(judged), unrecorded=_unrecorded(table, facts),
         scenes=scene_columns(judged)[decided].reset_index(drop=True),
     )
 
@@ -461,6 +463,22 @@ def _blind(judged: pd.DataFrame) -> int:
     share = judged['unusable_estimates'].astype('Float64') / judged['steps']
     passed = judged['outcome'] == Outcome.PASS.value
     return int((passed & (share > MOST_UNUSABLE_SHARE).fillna(value=False)).sum())
+
+
+def _claimed(judged: pd.DataFrame) -> str:
+    words = []
+    for name, unit in (('cte', 'm'), ('he', 'deg')):
+        most = judged.get(f'sigma_{name}_max_{unit}')
+        if most is not None and most.notna().any():
+            one, two = (judged[f'sigma_{name}_within_{times}'].mean() for times in (1, 2))
+            words.append(
+                f'of {name.upper()} at most {most.max():.2f} {unit}, {100 * one:.0f} % of the '
+                f'errors within one, {100 * two:.0f} % within two'
+            )
+    if not words:
+        return ''
+    return 'Standard deviations that the estimates claim (if right and normal, 68 % of the ' \
+        f'errors are within one, 95 % within two): {"; ".join(words)}.'
 
 
 def _stacks(table: pd.DataFrame, path: Path) -> tuple[Provenance, ...]:

@@ -39,7 +39,9 @@ class Part(NamedTuple):
 
 
 def numbers_of(store: Any, type_name: str, cdr: bytes, trail: Trail) -> dict[str, Number]:
-    """Positions of numbers and booleans by dotted name, except those in arrays and sequences.
+    """Positions of numbers and booleans by dotted name, except those in sequences.
+
+    Elements of an array are ``name[0]``, ``name[1]``, and so on.
 
     Args:
         store: rosbags type store with the type.
@@ -58,8 +60,14 @@ def numbers_of(store: Any, type_name: str, cdr: bytes, trail: Trail) -> dict[str
             if node is Nodetype.NAME:
                 at = visit(f'{prefix}{field}.', what, at)
                 continue
-            for step in steps_of(store, kind):
+            steps = steps_of(store, kind)
+            for number, step in enumerate(steps):
                 at = step.walk(cdr, at, trail)
+                if node is Nodetype.ARRAY and what[0][1][0] in FORMATS:
+                    form = FORMATS[what[0][1][0]]
+                    numbers[f'{prefix}{field}[{number}]'] = Number(
+                        at - struct.calcsize('<' + form), form
+                    )
             if node is Nodetype.BASE and what[0] in FORMATS:
                 form = FORMATS[what[0]]
                 numbers[prefix + field] = Number(at - struct.calcsize('<' + form), form)
@@ -93,8 +101,8 @@ class MessageTemplate:
         Args:
             topic: topic of the message's type; its name is not used.
             cdr: the message with its encapsulation of four bytes, little-endian.
-            fields: dotted names of numbers and booleans, e.g. ``header.stamp.sec``; not in arrays
-                or sequences.
+            fields: dotted names of numbers and booleans, e.g. ``header.stamp.sec``, also of an
+                array, ``covariance[0]``; not in sequences.
 
         Raises:
             BagForeign: the topic has no usable definition.

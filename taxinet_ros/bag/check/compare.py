@@ -191,7 +191,7 @@ def _differences(
         elif isinstance(x, float) and isinstance(y, float):
             if struct.pack('<d', x) != struct.pack('<d', y) and not (x != x and y != y):
                 yield path, (repr(x), repr(y)), abs(x - y)
-        elif x != y:
+        elif isinstance(x, np.ndarray) or isinstance(y, np.ndarray) or x != y:
             yield path, (_words(x), _words(y)), math.nan
 
 

@@ -23,9 +23,10 @@ from taxinet_ros.core.scenario_fields import (
     TRACK,
     ScenarioField,
 )
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, UNKNOWN_COVARIANCE, TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import RunRequest
+from taxinet_ros.core.verdict.run_statistics import SIGMA_FIGURES
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
 _NO_COMMAND = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
@@ -79,10 +80,11 @@ def account_of(message: Any) -> FreeRunAccount:
 
 
 def error_of(message: Any) -> TrackingError:
-    """Convert a tracking error message."""
+    """Convert a tracking error message; one recorded before there were covariances claims none."""
     return TrackingError(
         cte_m=float(message.cross_track_error), he_rad=float(message.heading_error),
         valid=bool(message.valid),
+        covariance=getattr(message, 'covariance', UNKNOWN_COVARIANCE),
     )
 
 
@@ -254,4 +256,8 @@ def verdict_values(judgement: Judgement, run_id: str) -> dict[str, Any]:
         'estimate_he_error_mean_abs': he.mean_abs,
         'estimate_he_error_max_abs': he.max_abs,
         'unusable_estimates': figures.unusable_estimates,
+        **{
+            f'{name}_{figure}': getattr(errors, figure)
+            for name, errors in (('cte', cte), ('he', he)) for figure in SIGMA_FIGURES
+        },
     }

@@ -100,7 +100,7 @@ def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
 def error_cdr(error: TrackingError, run_id: str, seq: int, stamp_ns: int) -> bytes:
     """Serialise a true or estimated tracking error."""
     return _error(run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq, error.cte_m, error.he_rad, error.valid
+        *divmod(stamp_ns, NS_PER_S), seq, error.cte_m, error.he_rad, error.valid, *error.covariance
     )
 
 
@@ -190,7 +190,8 @@ def _odometry() -> MessageTemplate:
 def _error(run_id: str) -> MessageTemplate:
     values = {'header': header_values(0), 'run_id': run_id}
     return _template(
-        topics.TRUTH, values, *_STEP, 'cross_track_error', 'heading_error', 'valid'
+        topics.TRUTH, values, *_STEP, 'cross_track_error', 'heading_error', 'valid',
+        *(f'covariance[{number}]' for number in range(4)),
     )
 
 

@@ -48,8 +48,9 @@ if TYPE_CHECKING:
 
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
-    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
-    'unusable_share': ESTIMATE, 'clearance': ODOMETRY, 'collision': ODOMETRY,
+    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'cte_sigma': ESTIMATE,
+    'he_sigma': ESTIMATE, 'estimate_gap': ESTIMATE, 'unusable_share': ESTIMATE,
+    'clearance': ODOMETRY, 'collision': ODOMETRY,
 }
 """Topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
 

@@ -33,8 +33,9 @@ from taxinet_ros.bag.run.topics import (
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import TRAFFIC
-from taxinet_ros.core.trace import CLEARANCE_COLUMN, STEP_UNITS
+from taxinet_ros.core.trace import CLEARANCE_COLUMN, SIGMA_COLUMNS, STEP_UNITS
 from taxinet_ros.core.traffic.traffic import NOBODY
+from taxinet_ros.core.types import UNKNOWN_COVARIANCE
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -179,6 +180,9 @@ def _cells(told: Mapping[str, Sequence[Any]]) -> Mapping[int, Mapping[str, float
         estimate = error_of(message)
         if estimate.usable:
             cells[message.seq].update(est_cte_m=estimate.cte_m, est_he_rad=estimate.he_rad)
+            if estimate.covariance != UNKNOWN_COVARIANCE:
+                for name, value in SIGMA_COLUMNS.items():
+                    cells[message.seq][name] = value(estimate)
     for message in told[COMMAND]:
         command = command_of(message)
         cells[message.seq].update(

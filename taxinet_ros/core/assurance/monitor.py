@@ -54,6 +54,8 @@ SUSTAINED: Final = 5
 """Steps (0.5 s) for which a score has to stay above its threshold: a single frame is no alarm."""
 NO_ESTIMATE: Final = 'no estimate'
 """Reason of an alarm where there is no usable estimate."""
+SIGMA: Final = 'sigma:'
+"""Monitor of what the estimates claim of themselves, ``sigma:METRES``."""
 _FOLDER = Path(__file__).parent / 'calibrations'
 _VERSION = 2
 
@@ -326,6 +328,37 @@ class CalibratedMonitor(RuntimeMonitor):
         }
 
 
+class SigmaMonitor(RuntimeMonitor):
+    """Is the standard deviation that estimates claim for the cross-track error below a limit?
+
+    One without an estimate, or that claims none, counts as infinite.
+    """
+
+    def __init__(self, word: str) -> None:
+        """``word``: ``sigma:METRES``; a UsageError without a limit above 0."""
+        try:
+            self._limit_m = float(word.removeprefix(SIGMA))
+        except ValueError:
+            self._limit_m = 0.0
+        if not 0 < self._limit_m < math.inf:
+            raise UsageError(f'monitor {word}: needs a limit above 0 m, as in {SIGMA}1.5')
+        self.word, self.fingerprint = word, hashlib.sha256(word.encode()).hexdigest()
+        self._recent: deque[float] = deque(maxlen=SUSTAINED)
+
+    def begin(self, scenario: Scenario) -> None:
+        """Reset."""
+        self._recent.clear()
+
+    def scores(self, seen: Seen) -> Mapping[str, float]:
+        """The least standard deviation of the last steps over the limit; 0 in the first steps."""
+        sigma_m = seen.estimate.cte_sigma_m if seen.estimate.usable else math.nan
+        self._recent.append(math.inf if math.isnan(sigma_m) else sigma_m)
+        if len(self._recent) < SUSTAINED:
+            return {'uncertain': 0.0}
+        score = min(self._recent) / self._limit_m
+        return {'uncertain': score if math.isinf(score) else math.nextafter(score, -math.inf)}
+
+
 class UserMonitor(RuntimeMonitor):
     """A user's function of :class:`Seen`: a score, 1 or more raises the alarm."""
 
@@ -363,15 +396,23 @@ def monitor_names() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob(f'*{SUFFIX}'))
 
 
+def is_monitor_name(word: str) -> bool:
+    """Whether a word alone names a monitor, without a path."""
+    return word.startswith(SIGMA) or word in monitor_names()
+
+
 def make_monitor(word: str) -> RuntimeMonitor:
     """Create a monitor.
 
     Args:
-        word: a name of :func:`monitor_names`, a calibration file, or ``FILE.py:NAME``.
+        word: a name of :func:`monitor_names`, a calibration file, ``FILE.py:NAME``, or
+            ``sigma:METRES``.
 
     Raises:
         UsageError: unknown, or it cannot be used.
     """
+    if word.startswith(SIGMA):
+        return SigmaMonitor(word)
     if names_user_code(word):
         return UserMonitor(find_user_code(word, 'monitor'))
     path = _calibration_path(word)
@@ -402,6 +443,8 @@ def check_monitor(word: str) -> str:
     Raises:
         UsageError: as :func:`make_monitor`.
     """
+    if word.startswith(SIGMA):
+        return SigmaMonitor(word).fingerprint
     if names_user_code(word):
         return find_user_code(word, 'monitor').sha256
     return read_calibration(_calibration_path(word))[1]
@@ -417,7 +460,7 @@ def monitor_doubts(word: str, perception: str) -> list[str]:
     Raises:
         UsageError: as :func:`check_monitor` and :func:`.check_perception`.
     """
-    if names_user_code(word):
+    if names_user_code(word) or word.startswith(SIGMA):
         return []
     calibration, _ = read_calibration(_calibration_path(word))
     sha256 = check_perception(perception, graph=True)
@@ -430,5 +473,5 @@ def _calibration_path(word: str) -> Path:
     if word.endswith(SUFFIX):
         return Path(word)
     known = ', '.join([*monitor_names(), f'a {SUFFIX} file of `taxinet assure calibrate`',
-                       'or FILE.py:NAME'])
+                       f'{SIGMA}METRES', 'or FILE.py:NAME'])
     raise UsageError(f'monitor: {word!r} is unknown; known: {known}')

@@ -284,13 +284,13 @@ def _check_parts(parts: Parts) -> None:
 
 def named_parts(word: str) -> bool:
     """Whether a recorded word names parts that are found by name alone, without a path."""
-    from taxinet_ros.core.assurance.monitor import monitor_names
+    from taxinet_ros.core.assurance.monitor import is_monitor_name
     from taxinet_ros.core.perception.perception import perception_names
     from taxinet_ros.registry import CONTROLLERS, names
 
     parts = parts_of(word)
     return parts is not None and (
-        parts.controller in names(CONTROLLERS) and parts.monitor in monitor_names()
+        parts.controller in names(CONTROLLERS) and is_monitor_name(parts.monitor)
         and (not parts.second or parts.second in perception_names())
     )
 

@@ -27,6 +27,8 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         'steering': 'rad',
         'cte_estimate': 'm',
         'he_estimate': 'rad',
+        'cte_sigma': 'm',
+        'he_sigma': 'rad',
         'estimate_gap': 's',
         'unusable_share': '1',
         'clearance': 'm',
@@ -35,12 +37,12 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
 )
 """Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` are ground truth relative to the track,
 which by default is the runway's centreline; ``x`` is the distance along it. ``steering`` is the
-command; the estimates are from the perception. Signs are defined in
-:mod:`taxinet_ros.core.types`: cross-track, heading and steering are left positive. ``estimate_gap``
-is the time since the last usable estimate, 0 if this frame has one; ``unusable_share`` is the
-number of frames so far without one divided by that of all frames of the run; it only grows.
-``clearance`` is the distance from the aircraft to others on the ground, and ``collision`` 1 where
-it is 0, else 0 (:mod:`taxinet_ros.core.clearance`)."""
+command; the estimates are from the perception, the sigmas the standard deviations that they claim.
+Signs are defined in :mod:`taxinet_ros.core.types`: cross-track, heading and steering are left
+positive. ``estimate_gap`` is the time since the last usable estimate, 0 if this frame has one;
+``unusable_share`` is the number of frames so far without one divided by that of all frames of the
+run; it only grows. ``clearance`` is the distance from the aircraft to others on the ground, and
+``collision`` 1 where it is 0, else 0 (:mod:`taxinet_ros.core.clearance`)."""
 
 MOST_CLEARANCE_M = 1000.0
 """Greatest ``clearance``; what it is where nobody else is on the ground [m]."""

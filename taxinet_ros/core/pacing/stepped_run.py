@@ -193,9 +193,11 @@ class SteppedRun:
         """The perception answers a frame.
 
         Raises:
-            InfraError: as :func:`check_answer`.
+            InfraError: as :func:`check_answer`; or its covariance is none.
         """
         check_answer(PERCEPTION, self.lockstep.seq, seq=seq, stamp_ns=stamp_ns, value=value)
+        if flaw := value.covariance_flaw:
+            raise InfraError(InfraKind.PROTOCOL, PERCEPTION, seq, f'estimated a {flaw}')
         if self.lockstep.answer(PERCEPTION, seq, self._clock()):
             self._heard()
 

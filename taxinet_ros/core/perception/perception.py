@@ -25,7 +25,7 @@ from taxinet_ros.core.perception.onnx.trial import tried_network
 from taxinet_ros.core.perception.weights import SUFFIX, card_path, load_card, load_model
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import NO_ESTIMATE, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, UNKNOWN_COVARIANCE, TrackingError
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
     PluginCode,
@@ -160,7 +160,8 @@ class NetworkPerception(Perception):
 class UserPerception(Perception):
     """A user function: ``(200, 360, 3)`` uint8 RGB in, cross-track and heading error out.
 
-    It returns a pair ``(cte_m, he_rad)``, a :class:`TrackingError`, or None for no estimate. With
+    It returns a pair ``(cte_m, he_rad)``, with a third value their 2 x 2 covariance, a
+    :class:`TrackingError`, or None for no estimate. With
     ``needs_image = False`` it receives the true :class:`TrackingError` instead of the image. One
     with a parameter ``rig`` also receives the :class:`.Rig` of the run.
     """
@@ -197,19 +198,29 @@ class UserPerception(Perception):
         else:
             argument = truth
         return self._run.answer(
-            argument, read_estimate, 'a pair (cte_m, he_rad), or None', **self._named
+            argument, read_estimate,
+            'a pair (cte_m, he_rad), also with their covariance, or None', **self._named
         )
 
 
 def read_estimate(answer: Any) -> TrackingError | None:
-    """Convert the return value of a user function to an estimate; None if invalid."""
+    """Convert the return value of a user function to an estimate; None if invalid.
+
+    Raises:
+        UsageError: its covariance is none.
+    """
     if answer is None:
         return NO_ESTIMATE
     if not isinstance(answer, TrackingError):
+        covariance: Any = UNKNOWN_COVARIANCE
+        if isinstance(answer, tuple | list) and len(answer) == 3:
+            *answer, covariance = answer
         pair = pair_of_numbers(answer)
         if pair is None:
             return None
-        answer = TrackingError(cte_m=pair[0], he_rad=pair[1])
+        answer = TrackingError(cte_m=pair[0], he_rad=pair[1], covariance=covariance)
+    if flaw := answer.covariance_flaw:
+        raise UsageError(f'perception: returned a {flaw}')
     return answer if answer.usable else NO_ESTIMATE
 
 

@@ -139,7 +139,8 @@ def signal_ranges(
     """
     ranges: dict[str, Range] = {
         'he': (-math.pi, math.pi), 'estimate_gap': (0.0, duration_s + CONTROL_PERIOD_NS / NS_PER_S),
-        'unusable_share': (0.0, 1.0), 'clearance': (0.0, MOST_CLEARANCE_M), 'collision': (0.0, 1.0),
+        'unusable_share': (0.0, 1.0), 'cte_sigma': (0.0, math.inf), 'he_sigma': (0.0, math.inf),
+        'clearance': (0.0, MOST_CLEARANCE_M), 'collision': (0.0, 1.0),
     }
     if gains is None or scenario is None:
         return ranges

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 
 _SCALE = 2.0**-64
+SIGMA_FIGURES = ('sigma_max', 'within_1_sigma', 'within_2_sigma')
+"""What :class:`ErrorStatistics` say of claimed covariances."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -21,11 +23,18 @@ class ErrorStatistics:
         mean: bias; NaN, like the others, if no estimate was usable.
         mean_abs: mean absolute error.
         max_abs: maximum absolute error.
+        sigma_max: maximum standard deviation that an estimate claimed for this error; NaN, like the
+            shares, if none did.
+        within_1_sigma, within_2_sigma: share of those estimates whose error was at most 1, or 2, of
+            their standard deviations: 0.68 and 0.95 if the claim is right and the error normal.
     """
 
     mean: float = math.nan
     mean_abs: float = math.nan
     max_abs: float = math.nan
+    sigma_max: float = math.nan
+    within_1_sigma: float = math.nan
+    within_2_sigma: float = math.nan
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,8 +86,8 @@ class RunStatisticsCollector:
         cte_error = sample['cte_estimate'] - sample['cte']
         he_error = sample['he_estimate'] - sample['he']
         if math.isfinite(cte_error) and math.isfinite(he_error):
-            self._cte.add(cte_error)
-            self._he.add(he_error)
+            self._cte.add(cte_error, sample.get('cte_sigma', math.nan))
+            self._he.add(he_error, sample.get('he_sigma', math.nan))
         else:
             self._unusable += 1
 
@@ -101,14 +110,20 @@ class _ErrorSum:
         self._count, self._sum, self._sum_abs, self._max_abs = 0, 0.0, 0.0, 0.0
         # The same sums, scaled so that they cannot overflow.
         self._small, self._small_abs = 0.0, 0.0
+        self._claims, self._sigma_max, self._within = 0, 0.0, [0, 0]
 
-    def add(self, error: float) -> None:
+    def add(self, error: float, sigma: float) -> None:
         self._count += 1
         self._sum += error
         self._sum_abs += abs(error)
         self._small += error * _SCALE
         self._small_abs += abs(error) * _SCALE
         self._max_abs = max(self._max_abs, abs(error))
+        if sigma == sigma:
+            self._claims += 1
+            self._sigma_max = max(self._sigma_max, sigma)
+            for row in range(2):
+                self._within[row] += abs(error) <= (row + 1) * sigma
 
     @property
     def statistics(self) -> ErrorStatistics:
@@ -120,7 +135,13 @@ class _ErrorSum:
             least = self._max_abs * _SCALE
             mean = max(-least, min(self._small / self._count, least)) / _SCALE
             mean_abs = min(self._small_abs / self._count, least) / _SCALE
-        return ErrorStatistics(mean=mean, mean_abs=mean_abs, max_abs=self._max_abs)
+        errors = ErrorStatistics(mean=mean, mean_abs=mean_abs, max_abs=self._max_abs)
+        if not self._claims:
+            return errors
+        first, second = (count / self._claims for count in self._within)
+        return replace(
+            errors, sigma_max=self._sigma_max, within_1_sigma=first, within_2_sigma=second
+        )
 
 
 class EstimateWatch:

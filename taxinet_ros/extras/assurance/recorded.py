@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taxinet_ros.bag.run.message_values import error_of
 from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.topics import ESTIMATE
 from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen
 from taxinet_ros.core.assurance.switch import Alarm, alarm_of
 from taxinet_ros.core.control_step import rolling_on
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.errors import UsageError
 
 
@@ -52,21 +54,23 @@ def judge_recording(recording: Recording, monitor: RuntimeMonitor) -> Told:
     columns = recording.columns
     scenario = run.request.scenario
     frames = {frame.seq: frame.image for frame in recording.frames()}
+    estimates = {
+        int(message.seq): error_of(message) for _, _, message in recording.messages((ESTIMATE,))
+    }
     monitor.begin(scenario)
     before, largest = rolling_on(scenario.speed_mps), dict[str, float]()
     alarm, done = None, 0
     for row, seq in enumerate(np.asarray(columns['seq'], np.int64).tolist()):
-        if seq not in frames or seq != row:
-            raise UsageError(f'{recording.path}: step {row} has no frame; the bag is incomplete')
+        if seq not in frames or seq not in estimates or seq != row:
+            raise UsageError(
+                f'{recording.path}: step {row} has no frame or estimate; the bag is incomplete'
+            )
         values = {
             name: float(np.asarray(columns[name], np.float64)[row])
-            for name in ('est_cte_m', 'est_he_rad', 'steering_rad', 'speed_cmd_mps')
+            for name in ('steering_rad', 'speed_cmd_mps')
         }
-        usable = bool(columns['est_valid'][row])
         scores = monitor.scores(Seen(
-            image=frames[seq], command=before, estimate=TrackingError(
-                cte_m=values['est_cte_m'], he_rad=values['est_he_rad'], valid=usable
-            ),
+            image=frames[seq], command=before, estimate=estimates[seq],
         ))
         done += 1
         for name, score in scores.items():

@@ -17,9 +17,9 @@ from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.core.assurance.monitor import (
     SUSTAINED,
     Calibration,
+    is_monitor_name,
     make_monitor,
     monitor_doubts,
-    monitor_names,
 )
 from taxinet_ros.core.assurance.switch import parts_of
 from taxinet_ros.core.motion.controller import STEERING
@@ -125,7 +125,7 @@ def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: boo
                 'name one with --monitor'
             )
         word = monitor or (parts.monitor if parts is not None else '')
-        if monitor is None and word not in monitor_names():
+        if monitor is None and not is_monitor_name(word):
             raise UsageError(
                 f'{bag}: its monitor is a file or function of unknown path; name it with --monitor'
             )

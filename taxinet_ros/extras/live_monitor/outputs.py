@@ -13,6 +13,7 @@ from std_msgs.msg import String
 from taxinet_msgs.msg import Robustness, Verdict
 
 from taxinet_ros.core.mtl import Spec
+from taxinet_ros.core.verdict.run_statistics import SIGMA_FIGURES
 from taxinet_ros.extras.live_monitor.stretch import Level, Standing, standing_level, standing_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.convert import robustness_message
@@ -44,6 +45,7 @@ _FIGURES = (
     'max_cross_track_error', 'settle_time',
     'estimate_cte_error_mean', 'estimate_cte_error_mean_abs', 'estimate_cte_error_max_abs',
     'estimate_he_error_mean', 'estimate_he_error_mean_abs', 'estimate_he_error_max_abs',
+    *(f'{name}_{figure}' for name in ('cte', 'he') for figure in SIGMA_FIGURES),
 )
 
 

@@ -131,13 +131,16 @@ class ActiveRun(LiveGraph):
         return max(self.steps.lockstep.seq, 0)
 
     def listeners(self, topic: topics.Topic) -> set[str]:
-        """Participants that have declared a subscription to a topic.
+        """Nodes that subscribe to a topic, as participants declare for themselves or for others.
 
         Only a free run publishes timing, and its followers must receive it.
         """
         if self.steps.free is not None and topic.name == interface.TIMING.name:
             return set(interface.FOLLOWERS) & set(self.participants)
-        return {node for node, names in self.listens.items() if topic.name in names}
+        heard = [
+            (*name.split('@', 1), node) for node, names in self.listens.items() for name in names
+        ]
+        return {node for name, node, *_ in heard if name == topic.name}
 
     def status(self, state: int, **what: Any) -> RunStatus:
         """Status message of this run at its current step."""

@@ -6,6 +6,7 @@ are in :mod:`taxinet_ros.nodes.messages.step`.
 
 from __future__ import annotations
 
+import math
 import re
 
 from builtin_interfaces.msg import Time
@@ -21,7 +22,7 @@ from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest
-from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
+from taxinet_ros.core.verdict.run_statistics import SIGMA_FIGURES, ErrorStatistics, RunStatistics
 from taxinet_ros.errors import InfraError, InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import MAP_FRAME
@@ -65,15 +66,21 @@ def statistics_of(
         settle_time_s=verdict.settle_time,
         cte_error=ErrorStatistics(
             mean=verdict.estimate_cte_error_mean, mean_abs=verdict.estimate_cte_error_mean_abs,
-            max_abs=verdict.estimate_cte_error_max_abs,
+            max_abs=verdict.estimate_cte_error_max_abs, **_sigma_figures(verdict, 'cte'),
         ),
         he_error=ErrorStatistics(
             mean=verdict.estimate_he_error_mean, mean_abs=verdict.estimate_he_error_mean_abs,
-            max_abs=verdict.estimate_he_error_max_abs,
+            max_abs=verdict.estimate_he_error_max_abs, **_sigma_figures(verdict, 'he'),
         ),
         unusable_estimates=verdict.unusable_estimates,
         half_width_m=half_width_m,
     )
+
+
+def _sigma_figures(verdict: taxinet.Verdict, name: str) -> dict[str, float]:
+    values = {figure: getattr(verdict, f'{name}_{figure}') for figure in SIGMA_FIGURES}
+    # One NaN, as in the loop, so that equal statistics compare as such.
+    return {figure: math.nan if math.isnan(one) else one for figure, one in values.items()}
 
 
 def account_message(free: FreeRun, run_id: str) -> TimingMessage:

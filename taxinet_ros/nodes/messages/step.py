@@ -57,7 +57,8 @@ class Motion(NamedTuple):
 
 def _read_error(message: Any) -> StepMessage:
     error = TrackingError(
-        cte_m=message.cross_track_error, he_rad=message.heading_error, valid=message.valid
+        cte_m=message.cross_track_error, he_rad=message.heading_error, valid=message.valid,
+        covariance=message.covariance,
     )
     return StepMessage(stamp_of(message.header.stamp), error, message.run_id, message.seq)
 

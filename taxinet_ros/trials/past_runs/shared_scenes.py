@@ -375,4 +375,5 @@ def _result_row(row: RunRow, trial: Trial, network: str, fingerprint: str, spec:
         settle_time_s=trial.settle_time_s, bag='', cte_error_mean_m=None,
         cte_error_mean_abs_m=None, cte_error_max_abs_m=None, he_error_mean_deg=None,
         he_error_mean_abs_deg=None, he_error_max_abs_deg=None, unusable_estimates=None,
+        sigma={},
     )

@@ -11,8 +11,10 @@ from collections.abc import Iterable, Sequence
 from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 
-POINT, FREE = 'u_', 'free_'
-"""Prefixes of columns: a dimension of the search space, a figure of free runs."""
+POINT = 'u_'
+"""Prefix of the column of a dimension of the search space."""
+PREFIXES = {'point': POINT, 'free': 'free_', 'sigma': 'sigma_'}
+"""Prefixes of the columns of a row's mappings; a table has those that some row has."""
 
 RHO = 'rho'
 """Column that repeats the headline's robustness."""
@@ -68,21 +70,24 @@ def specs_of(columns: Iterable[object]) -> list[str]:
 
 
 def column_types(
-    specs: Sequence[str], dimensions: Iterable[str], figures: Iterable[str]
+    specs: Sequence[str], columns: Iterable[str]
 ) -> dict[str, str]:
     """Type of each column of a table, in its order.
 
     Args:
         specs: names of the formulas, headline first.
-        dimensions: names of the dimensions of the search space.
-        figures: names of the figures of free runs.
+        columns: names of the table's columns; of these, those with one of :data:`PREFIXES` count.
     """
+    point, *figures = (
+        {name: 'float64' for name in columns if name.startswith(start)}
+        for start in PREFIXES.values()
+    )
     return {
-        **_BEFORE_POINT, **{f'{POINT}{name}': 'float64' for name in dimensions},
+        **_BEFORE_POINT, **point,
         **_BEFORE_RHO, RHO: 'float64',
         **{
             column(name): 'float64'
             for column in (rho_column, lower_column, upper_column) for name in specs
         },
-        **{f'{FREE}{name}': 'float64' for name in figures}, **_AFTER_RHO,
+        **{name: kind for one in figures for name, kind in one.items()}, **_AFTER_RHO,
     }

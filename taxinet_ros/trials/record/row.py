@@ -62,6 +62,8 @@ class RunRow:
         cte_error_mean_m, cte_error_mean_abs_m, cte_error_max_abs_m, he_error_mean_deg,
             he_error_mean_abs_deg, he_error_max_abs_deg: estimate minus truth; judged runs only.
         unusable_estimates: frames without an estimate; judged runs only.
+        sigma: figures of the covariances that estimates claimed, by name: greatest standard
+            deviation, and share of the errors within 1 and 2 of them; none without covariances.
         steps: number of control steps.
         sim_s: simulated time that passed [s].
         retries: number of retries after infrastructure errors.
@@ -143,6 +145,7 @@ class RunRow:
     he_error_mean_abs_deg: float | None = None
     he_error_max_abs_deg: float | None = None
     unusable_estimates: int | None = None
+    sigma: Mapping[str, float] = field(default_factory=dict)
     steps: int = 0
     sim_s: float = 0.0
     retries: int = 0
@@ -178,8 +181,9 @@ class RunRow:
             parse_timing(self.timing)
         except UsageError as error:
             raise ValueError(str(error)) from error
-        if not all(map(math.isfinite, self.free.values())):
-            raise ValueError(f'a figure of the free run is no number: {dict(self.free)}')
+        for figures in (self.free, self.sigma):
+            if not all(map(math.isfinite, figures.values())):
+                raise ValueError(f'a figure is no number: {dict(figures)}')
         self._check_robustness()
 
     def _check_words(self) -> None:
@@ -366,6 +370,14 @@ def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
         'he_error_mean_abs_deg': _known(_degrees(he.mean_abs)),
         'he_error_max_abs_deg': _known(_degrees(he.max_abs)),
         'unusable_estimates': statistics.unusable_estimates,
+        'sigma': {
+            name: value for name, value in (
+                ('cte_max_m', cte.sigma_max),
+                ('cte_within_1', cte.within_1_sigma), ('cte_within_2', cte.within_2_sigma),
+                ('he_max_deg', math.degrees(he.sigma_max)),
+                ('he_within_1', he.within_1_sigma), ('he_within_2', he.within_2_sigma),
+            ) if not math.isnan(value)
+        },
     }
 
 

@@ -19,10 +19,9 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.record.columns import (
     ATTRIBUTES,
-    FREE,
     LONGER,
     PLAIN_COLUMNS,
-    POINT,
+    PREFIXES,
     REAL_TIME_FACTOR,
 )
 from taxinet_ros.trials.record.row import DEFAULTS, NEEDED, RunRow
@@ -221,12 +220,11 @@ def _of_mapping(name: str, values: Any) -> Iterator[tuple[str, Any]]:
     import pyarrow as pa
     import pyarrow.compute
 
-    prefixes = {'point': POINT, 'free': FREE}
-    if name not in (*prefixes, 'robustness') or not pa.types.is_struct(values.type):
+    if name not in (*PREFIXES, 'robustness') or not pa.types.is_struct(values.type):
         raise ValueError(f'{name} is {values.type}')
     for field, column in zip(values.type, values.flatten(), strict=True):
-        if name in prefixes:
-            yield prefixes[name] + field.name, column.cast(pa.float64())
+        if name in PREFIXES:
+            yield PREFIXES[name] + field.name, column.cast(pa.float64())
             continue
         if pa.compute.list_value_length(column).unique().drop_null().to_pylist() not in ([2], []):
             raise ValueError(f'{name} has no intervals')

@@ -17,9 +17,8 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically, write_parquet
 from taxinet_ros.trials.record.columns import (
     ATTRIBUTES,
-    FREE,
     PLAIN_COLUMNS,
-    POINT,
+    PREFIXES,
     RHO,
     column_types,
     rho_column,
@@ -54,7 +53,7 @@ def table(
         known: columns that any row has, if these rows are a part of them.
 
     There is one column ``u_<dimension>`` for each dimension of any row's point, and one column
-    ``free_<name>`` for each figure of free runs.
+    ``free_<name>`` or ``sigma_<name>`` for each figure of free runs, or of claimed covariances.
     """
     import pandas as pd
 
@@ -62,10 +61,7 @@ def table(
     here = _names(found)
     known = here if known is None else known
     names = list(dict.fromkeys([*specs, *specs_with_interval(known)]))
-    kinds = column_types(names, *(
-        [name.removeprefix(start) for name in known if name.startswith(start)]
-        for start in (POINT, FREE)
-    ))
+    kinds = column_types(names, known)
     frame = {
         name: _series(found, name, kind) for name, kind in kinds.items() if name in here
     }
@@ -99,9 +95,8 @@ def _values_of_rows(rows: Iterable[RunRow]) -> dict[str, list[Any]]:
         for column in PLAIN_COLUMNS
     }
     found['outcome'] = [outcome.value for outcome in found['outcome']]
-    for start, mappings in (
-        (POINT, [row.point for row in ordered]), (FREE, [row.free for row in ordered])
-    ):
+    for attribute, start in PREFIXES.items():
+        mappings = [getattr(row, attribute) for row in ordered]
         for name in dict.fromkeys(name for mapping in mappings for name in mapping):
             found[start + name] = [mapping.get(name) for mapping in mappings]
     for name in dict.fromkeys(name for row in ordered for name in row.robustness):
@@ -212,9 +207,7 @@ def read_any_table(path: Path) -> pd.DataFrame:
     names = [str(name) for name in frame.columns]
     if len(set(names)) < len(names):
         raise UsageError(f'{path}: damaged (a column occurs twice)')
-    dimensions = [name.removeprefix(POINT) for name in names if name.startswith(POINT)]
-    figures = [name.removeprefix(FREE) for name in names if name.startswith(FREE)]
-    kinds = column_types(specs_of(frame.columns), dimensions, figures)
+    kinds = column_types(specs_of(frame.columns), names)
     # Older tables may lack newer columns.
     try:
         frame = frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})

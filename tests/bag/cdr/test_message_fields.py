@@ -3,6 +3,7 @@
 import struct
 from operator import attrgetter
 
+import numpy as np
 import pytest
 from any_messages import TYPES, fields_in, messages_of, topic_of
 from hypothesis import given
@@ -26,7 +27,8 @@ def error_cdr(**change):
     time, header = store.types['builtin_interfaces/msg/Time'], store.types['std_msgs/msg/Header']
     values = {
         'header': header(stamp=time(sec=1, nanosec=2), frame_id='map'), 'run_id': 'run', 'seq': 3,
-        'cross_track_error': 4.0, 'heading_error': 5.0, 'valid': True, **change,
+        'cross_track_error': 4.0, 'heading_error': 5.0, 'valid': True,
+        'covariance': np.array([6.0, 0.0, 0.0, 7.0]), **change,
     }
     return bytes(store.serialize_cdr(store.types[ERROR.type](**values), ERROR.type))
 
@@ -56,6 +58,12 @@ def test_given_garbage_in_the_gaps_and_behind_then_it_is_not_in_what_is_filled()
     spoilt[before - 4:before] = b'\7\7\7\7'
     fields = 'header.stamp.sec', 'header.stamp.nanosec', 'seq', 'valid'
     assert MessageTemplate(ERROR, bytes(spoilt), fields).filled(1, 2, 3, True) == clean
+
+
+def test_given_elements_of_an_array_then_they_are_filled_in_where_rosbags_finds_them():
+    fields = 'valid', *(f'covariance[{number}]' for number in range(4))
+    filled = MessageTemplate(ERROR, error_cdr(), fields).filled(True, 1.0, 2.0, 3.0, 4.0)
+    assert filled == error_cdr(covariance=np.array([1.0, 2.0, 3.0, 4.0]))
 
 
 def test_given_a_field_that_is_no_number_then_it_is_refused():

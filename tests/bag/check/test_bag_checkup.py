@@ -126,7 +126,7 @@ def test_given_a_command_lost_when_checked_then_the_verdict_is_not_judged_beyond
 def test_given_another_truth_when_checked_then_the_verdict_does_not_follow(tmp_path: Path) -> None:
     def shifted(messages: Messages) -> Messages:
         return [
-            (name, stamp, cdr[:-24] + struct.pack('<d', 9.5) + cdr[-16:])
+            (name, stamp, cdr[:-56] + struct.pack('<d', 9.5) + cdr[-48:])
             if (name, stamp) == (TRUTH, (STEPS - 1) * STEP_NS) else (name, stamp, cdr)
             for name, stamp, cdr in messages
         ]

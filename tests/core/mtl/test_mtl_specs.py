@@ -92,7 +92,7 @@ def test_given_a_shipped_name_with_its_own_formula_when_read_then_it_is_accepted
 
 
 def test_given_every_signal_when_used_then_it_is_known_with_a_unit() -> None:
-    assert len(SIGNALS) == 11
+    assert len(SIGNALS) == 13
     text = ' and '.join(f'{name} < 1' for name in SIGNALS)
     assert signal_names(parse_formula(text)) == tuple(sorted(SIGNALS))
     assert all(SIGNALS.values())

@@ -189,6 +189,11 @@ def test_subnormal_numbers_are_a_bad_value(value):
     assert 'subnormal, an int or array in a float field?' in clauses.bad_answer(answer)
 
 
+def test_a_covariance_that_is_none_is_a_bad_value():
+    answer = TrackingError(cte_m=1.0, he_rad=0.0, covariance=(0.1, 0.2, 0.0, 0.1))
+    assert clauses.bad_answer(Answer(answer)) == 'covariance [0.1, 0.2, 0, 0.1]: not symmetric'
+
+
 def test_answers_that_differ_in_the_last_digit_are_shown_with_their_difference():
     first, second = (
         Run(kind='first', questions=[Question(

@@ -69,6 +69,7 @@ def run_rows(draw: st.DrawFn, index: int) -> RunRow:
     return dataclasses.replace(
         row, outcome=Outcome.PASS if passed else Outcome.FAIL, stopped_early=early,
         left_runway=draw(st.booleans()), unusable_estimates=draw(st.integers(0, 300)),
+        sigma=draw(st.sampled_from([{}, {'cte_max_m': 0.5, 'cte_within_1': 2 / 3}])),
         robustness=dict.fromkeys(NAMES, interval),
     )
 

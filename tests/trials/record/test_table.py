@@ -96,6 +96,17 @@ def test_given_judged_runs_when_in_a_table_then_their_figures_have_units_people_
     assert frame[figures].iloc[1].isna().all()
 
 
+def test_given_claimed_covariances_then_there_are_columns_of_them_and_else_none(tmp_path) -> None:
+    rows = sorted(mixed(), key=lambda row: row.index)
+    assert not [name for name in table(rows, SPECS).columns if name.startswith('sigma_')]
+    sigma = {'cte_max_m': 0.5, 'cte_within_1': 0.7, 'cte_within_2': 1.0}
+    frame = read_table(write([dataclasses.replace(rows[0], sigma=sigma), *rows[1:]], tmp_path))
+    found = [name for name in frame.columns if name.startswith('sigma_')]
+    assert found == ['sigma_cte_max_m', 'sigma_cte_within_1', 'sigma_cte_within_2']
+    assert frame[found].iloc[0].tolist() == [0.5, 0.7, 1.0]
+    assert frame[found].iloc[1:].isna().all(axis=None)
+
+
 @pytest.mark.parametrize('rows', [[], [rejected(0)], [run(0, Outcome.INFRA_ERROR)]])
 def test_given_few_or_empty_rows_when_in_a_table_then_its_types_are_the_usual(
     rows: list[RunRow], tmp_path: Path,
