@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED, fail, tokens
 from taxinet_ros.core.mtl.margin import compile_margin
@@ -50,6 +50,7 @@ class Parameter:
             number.
         least_ns, most_ns: for an end of a window, the range set by its other ends [ns]; None: by
             the run's.
+        step_ns: its resolution [ns].
     """
 
     name: str
@@ -57,11 +58,13 @@ class Parameter:
     mark_ns: int = 0
     least_ns: int = 0
     most_ns: int | None = None
+    step_ns: int = 1
 
-    def steps(self, end_ns: int) -> range:
-        """Values that an end of a window can have in a run, in control steps."""
+    def times_s(self, end_ns: int) -> list[float]:
+        """Values that an end of a window can have in a run, from the tightest to the loosest."""
         most_ns = end_ns if self.most_ns is None else min(self.most_ns, end_ns)
-        return range(-(-self.least_ns // CONTROL_PERIOD_NS), most_ns // CONTROL_PERIOD_NS + 1)
+        steps = range(-(-self.least_ns // self.step_ns), most_ns // self.step_ns + 1)
+        return [step * self.step_ns / NS_PER_S for step in (steps if self.rises else steps[::-1])]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,7 +109,7 @@ class Template:
 
         Returns:
             The value, which satisfies it; that of a number is found to nine digits, and that of a
-            window in control steps. Where none does, infinity, with the sign of the looser values;
+            window in steps. Where none does, infinity, with the sign of the looser values;
             where all do, with the sign of the tighter ones (a window has a tightest value).
         """
         sign = 1.0 if parameter.rises else -1.0
@@ -117,21 +120,20 @@ class Template:
 
         if not parameter.mark_ns:
             return sign * _least(rho)
-        period_s = CONTROL_PERIOD_NS / NS_PER_S
-        steps = parameter.steps(int(stamps_ns[-1]))[::1 if parameter.rises else -1]
-        low, high = 0, len(steps)
-        while low < high:
-            middle = (low + high) // 2
-            satisfied = rho(sign * steps[middle] * period_s) > 0
-            low, high = (low, middle) if satisfied else (middle + 1, high)
+        times_s = parameter.times_s(int(stamps_ns[-1]))
+        first = bisect_left(times_s, True, key=lambda time_s: rho(sign * time_s) > 0)
         # A window without samples satisfies nothing: robustness is infinite there.
-        if low == len(steps) or math.isinf(rho(sign * steps[low] * period_s)):
+        if first == len(times_s) or math.isinf(rho(sign * times_s[first])):
             return sign * math.inf
-        return steps[low] * period_s
+        return times_s[first]
 
 
-def parse_template(text: str) -> Template:
+def parse_template(text: str, step_ns: int) -> Template:
     """Parse a formula with one or two parameters over the signals of a run.
+
+    Args:
+        text: the formula.
+        step_ns: resolution of times: the distance of samples [ns].
 
     Raises:
         UsageError: an invalid formula, no parameter or too many, or one in which robustness is not
@@ -167,6 +169,7 @@ def parse_template(text: str) -> Template:
         least_ns, most_ns = _range(formula, mark_ns, [*marks.values()])
         parameters.append(Parameter(
             name=name, rises=1 in seen, mark_ns=mark_ns, least_ns=least_ns, most_ns=most_ns,
+            step_ns=step_ns,
         ))
     return Template(formula=formula, parameters=tuple(parameters))
 

@@ -15,9 +15,7 @@ from typing import NamedTuple
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl.mine import Parameter, Template
-from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.past_runs.judged_run import check_same_run
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
@@ -144,12 +142,10 @@ def order(template: Template) -> tuple[Parameter, Parameter | None]:
 
 
 def _grid(other: Parameter, traces: Iterable[Trace], points: int) -> list[float]:
-    """Evenly spread times from the tightest to the loosest, in control steps."""
-    steps = other.steps(min(int(trace.stamps_ns[-1]) for trace in traces))
-    chosen = sorted({steps[round(at * (len(steps) - 1) / max(points - 1, 1))]
-                     for at in range(points)})
-    period_s = CONTROL_PERIOD_NS / NS_PER_S
-    return [step * period_s for step in (chosen if other.rises else reversed(chosen))]
+    """Evenly spread times from the tightest to the loosest."""
+    times_s = other.times_s(min(int(trace.stamps_ns[-1]) for trace in traces))
+    chosen = {round(at * (len(times_s) - 1) / max(points - 1, 1)) for at in range(points)}
+    return [times_s[at] for at in sorted(chosen)]
 
 
 def quantile(

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import math
 
+import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -35,7 +36,7 @@ def test_given_a_parameter_when_its_direction_is_read_off_then_robustness_goes_t
 ) -> None:
     template = None
     with contextlib.suppress(UsageError):
-        template = parse_template(str(formula))
+        template = parse_template(str(formula), TENTH)
     assume(template is not None)
     (parameter,) = template.parameters
     sign = 1 if parameter.rises else -1
@@ -66,41 +67,41 @@ WINDOWS = [
 
 @pytest.mark.parametrize('text', WINDOWS)
 def test_given_a_window_when_its_parameter_is_mined_then_it_is_the_tightest_of_all(text) -> None:
-    template = parse_template(text)
+    template = parse_template(text, TENTH)
     (parameter,) = template.parameters
     decided = set()
     for run in random_traces(7, 60):
         stamps = [TENTH * stamp for stamp in run.stamps]
         if stamps[0] or stamps[-1] < 20 * TENTH:
             continue
-        steps = parameter.steps(stamps[-1])
-        rho = [template.robustness({'T': step / 10}, stamps, run.columns) for step in steps]
-        ordered = rho if parameter.rises else rho[::-1]
-        assert all(one <= other for one, other in itertools.pairwise(ordered))
-        holds = [step / 10 for step, value in zip(steps, rho, strict=True) if value > 0]
+        times_s = parameter.times_s(stamps[-1])
+        first, last = 0.5 if '0.5:T' in text else 0.0, 2.0 if 'T:2' in text else stamps[-1] / 1e9
+        assert sorted(times_s) == pytest.approx(np.arange(first, last + 0.05, 0.1))
+        rho = [template.robustness({'T': time_s}, stamps, run.columns) for time_s in times_s]
+        assert all(one <= other for one, other in itertools.pairwise(rho)), 'tightest first'
+        holds = [at for at, value in enumerate(rho) if value > 0]
         tight = template.tightest(parameter, {}, stamps, run.columns)
         decided.add(math.isfinite(tight))
         if math.isfinite(tight):
-            assert tight == pytest.approx((min if parameter.rises else max)(holds))
+            assert tight == times_s[holds[0]]
         else:
-            best = (min if parameter.rises else max)(holds, default=None)
-            assert best is None or math.isinf(rho[steps.index(round(best * 10))])
+            assert not holds or math.isinf(rho[holds[0]])
     assert decided
 
 
 def test_given_known_traces_when_mined_then_the_values_are_the_known_ones() -> None:
     stamps = [TENTH * step for step in range(31)]
     cte = {'cte': [3.0 - 0.1 * step for step in range(31)], 'he': [0.0] * 31}
-    template = parse_template('always[T:3](abs(cte) <= A)')
+    template = parse_template('always[T:3](abs(cte) <= A)', TENTH)
     time, number = template.parameters
     assert (time.name, time.rises, number.name, number.rises) == ('T', True, 'A', True)
     assert template.tightest(number, {'T': 1.0}, stamps, cte) == pytest.approx(2.0)
     assert template.tightest(time, {'A': 1.05}, stamps, cte) == pytest.approx(2.0)
     assert template.tightest(time, {'A': -1.0}, stamps, cte) == math.inf
-    far = parse_template('always(cte >= B)')
+    far = parse_template('always(cte >= B)', TENTH)
     assert far.parameters[0].rises is False
     assert far.tightest(far.parameters[0], {}, stamps, cte) == pytest.approx(0.0, abs=1e-8)
-    vacuous = parse_template('always[0.05:0.06](cte <= A)')
+    vacuous = parse_template('always[0.05:0.06](cte <= A)', TENTH)
     assert vacuous.tightest(vacuous.parameters[0], {}, stamps, cte) == math.inf
 
 
@@ -119,5 +120,5 @@ def test_given_known_traces_when_mined_then_the_values_are_the_known_ones() -> N
 ])
 def test_given_a_formula_that_cannot_be_mined_then_it_is_refused_by_name(text, said) -> None:
     with pytest.raises(UsageError) as refused:
-        parse_template(text)
+        parse_template(text, TENTH)
     assert said in str(refused.value)

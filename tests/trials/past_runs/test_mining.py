@@ -43,7 +43,7 @@ def test_given_two_parameters_then_the_front_is_the_known_one() -> None:
     traces = [
         Trace(STAMPS, {'cte': [30.0 + k - step for step in range(31)]}) for k in range(1, 11)
     ]
-    template = parse_template('always[T:3](cte <= A)')
+    template = parse_template('always[T:3](cte <= A)', STAMPS[1])
     found = list(mine(template, traces, 0.8, anytime=False, points=4))
     assert [one.other for one in found] == [0.0, 1.0, 2.0, 3.0]
     assert [one.value for one in found] == pytest.approx([38.0, 28.0, 18.0, 8.0])
@@ -51,5 +51,5 @@ def test_given_two_parameters_then_the_front_is_the_known_one() -> None:
     flat = [Trace(STAMPS, {'cte': [9.0] * 10 + [2.0] * 21})] * 3
     assert [one.other for one in mine(template, flat, 0.5, anytime=False, points=31)] == [0.0, 1.0]
     with pytest.raises(UsageError, match='A and B are both numbers'):
-        list(mine(parse_template('always(cte <= A and he <= B)'), traces, 0.8, anytime=False,
+        list(mine(parse_template('always(cte <= A and he <= B)', 1), traces, 0.8, anytime=False,
                   points=4))
