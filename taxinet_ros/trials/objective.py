@@ -39,9 +39,7 @@ class Objective:
         added: each counts a tenth of the one above. So it is also worth while to come near to an
         important requirement, which would not be so if only broken ones were ranked.
         """
-        known = [
-            [robustness[name].nearest_to_zero for name in level] for level in self.levels
-        ]
+        known = [[robustness[name].nearest_to_zero for name in level] for level in self.levels]
         least = [min((rho for rho in level if rho is not None), default=math.inf)
                  for level in known]
         if len(least) == 1:
@@ -75,10 +73,8 @@ def parse_objective(text: str, names: Sequence[str]) -> Objective:
     Raises:
         UsageError: an unknown requirement, one that is named twice, or fewer than two.
     """
-    levels = tuple(
-        tuple(name.strip() for name in level.split(',')) for level in text.split('>')
-    )
-    found = Objective(text=text, levels=levels)
+    levels = (tuple(map(str.strip, level.split(','))) for level in text.split('>'))
+    found = Objective(text=text, levels=tuple(levels))
     for name in found.rules:
         if name not in names:
             raise UsageError(

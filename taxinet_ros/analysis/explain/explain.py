@@ -34,7 +34,6 @@ from taxinet_ros.analysis.explain.track import (
 )
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.bag.run.judging import SpecVerdict
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.mtl.explain import Explanation as Clauses
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
@@ -89,7 +88,7 @@ class Explanation:
             asked; None if none was.
         hidden: scenario keys that were not changed, as this camera does not show them.
         outcome: outcome of the recorded run, or '' if the bag ends before.
-        requirement: its headline requirement, with the clause and the sample that decide.
+        clauses: what the robustness of its headline requirement comes from, if it was evaluated.
     """
 
     bag: Path
@@ -105,17 +104,12 @@ class Explanation:
     again: Effect | None = None
     hidden: tuple[str, ...] = ()
     outcome: str = ''
-    requirement: SpecVerdict | None = None
+    clauses: Clauses | None = None
 
     @property
     def own(self) -> bool:
         """Whether the network is that of the run."""
         return self.fingerprint == self.run.fingerprint
-
-    @property
-    def clauses(self) -> Clauses | None:
-        """What the robustness of the headline requirement comes from, if it was evaluated."""
-        return None if self.requirement is None else self.requirement.explanation
 
     @property
     def worst(self) -> int:
@@ -192,7 +186,7 @@ def explain(
         reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
         hidden=() if renderer is None else not_shown(renderer.shows),
         outcome='' if recording.facts is None else recording.facts.outcome,
-        requirement=recording.judge(run.request.judging.specs[0], explain=True),
+        clauses=recording.judge(run.request.judging.specs[0], explain=True).explanation,
     )
 
 

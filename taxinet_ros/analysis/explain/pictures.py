@@ -25,7 +25,7 @@ from taxinet_ros.analysis.explain.explain import (
 )
 from taxinet_ros.analysis.explain.occlusion import STRIDE_PX
 from taxinet_ros.analysis.explain.track import Floats, Frame, Moment
-from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses, shown_clauses
+from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
 from taxinet_ros.core.mtl.explain import Explanation as Clauses
@@ -56,7 +56,7 @@ def clause_picture(clauses: Clauses) -> Picture:
         caption='Robustness of each part at the samples at which the requirement depends on it. '
         'Circles: the samples by which it is decided; filled: the predicate that decides.',
         draw=lambda figure, theme: draw_clauses(figure, clauses, theme, 0.0),
-        size_in=(9.0, 0.3 + ROW_IN * len(shown_clauses(clauses))),
+        size_in=(9.0, 0.3 + ROW_IN * len(clauses.clauses)),
     )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
@@ -14,16 +12,6 @@ from taxinet_ros.core.types import NS_PER_S
 
 ROW_IN = 0.95
 """Height of one part [inch]."""
-_MOST = 8
-_LONGEST = 96
-
-
-def shown_clauses(found: Explanation) -> Sequence[Clause]:
-    """Parts in the picture: all, or where that is too many, first those that decide."""
-    if len(found.clauses) <= _MOST:
-        return found.clauses
-    chosen = sorted(found.clauses, key=lambda one: not one.decides)[:_MOST]
-    return [one for one in found.clauses if any(one is kept for kept in chosen)]
 
 
 def draw_clauses(figure: FigureBase, found: Explanation, theme: Theme, end_s: float) -> None:
@@ -35,10 +23,9 @@ def draw_clauses(figure: FigureBase, found: Explanation, theme: Theme, end_s: fl
         theme: colours.
         end_s: planned end of the run [s].
     """
-    clauses = shown_clauses(found)
     t_s = np.array(found.stamps_ns) / NS_PER_S
-    rows = figure.subplots(len(clauses), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, one in zip(rows, clauses, strict=True):
+    rows = figure.subplots(len(found.clauses), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, one in zip(rows, found.clauses, strict=True):
         _draw(axes, one, t_s, theme, one is found.witness)
         style_axes(axes)
         axes.tick_params(labelsize=7)
@@ -65,10 +52,8 @@ def _draw(axes: Axes, one: Clause, t_s: np.ndarray, theme: Theme, witness: bool)
         axes.plot([t_s[one.row]], [(high if upper[one.row] <= 0 else low)[one.row]], marker='o',
                   markersize=8 if witness else 5, markerfacecolor=colour if witness else 'none',
                   markeredgecolor=colour, clip_on=False, zorder=5)
-    text = one.text if len(one.text) <= _LONGEST else f'{one.text[:_LONGEST - 1]}…'
-    words = 'not needed'
-    if one.interval:
-        words = f'{one.interval.words()} at {t_s[one.row]:.1f} s'
+    text = one.text if len(one.text) <= 96 else f'{one.text[:95]}…'  # as much as fits
+    words = f'{one.interval.words()} at {t_s[one.row]:.1f} s' if one.interval else 'not needed'
     axes.set_title(f'{"    " * one.depth}{text}', fontsize=8, loc='left', color=theme.ink)
     axes.set_title(
         f'{words}{", decides" if witness else ""}', fontsize=8, loc='right',

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses, shown_clauses
+from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
 from taxinet_ros.analysis.report.parts import Theme
 from taxinet_ros.bag.check.judge import JudgedBag
 from taxinet_ros.bag.run.judging import (
@@ -126,7 +126,7 @@ def _draw(
 def _clauses_in(one: JudgedSpec) -> float:
     """Height of the picture of a requirement's parts [inch]."""
     found = one.verdict.explanation
-    return 0.0 if found is None else ROW_IN * len(shown_clauses(found)) + 0.3
+    return 0.0 if found is None else ROW_IN * len(found.clauses) + 0.3
 
 
 def _draw_atom(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -58,10 +59,9 @@ def mine(
             'formula': formula, 'share': share, 'runs': len(traces), 'anytime': anytime,
             'parameter': target.name, 'rho_rises': target.rises,
             'other': None if other is None else other.name,
-            'values': [
-                {'other': one.other, 'value': one.value, 'tighter': one.tighter,
-                 'looser': one.looser} for one in found
-            ],
+            # Which infinity it is says whether no value holds or every one.
+            'values': [{name: str(end) if end in (math.inf, -math.inf) else end
+                        for name, end in asdict(one).items()} for one in found],
         }))
         return
 
@@ -80,7 +80,8 @@ def mine(
     )
     for one in found:
         given = '' if other is None else f'{other.name} = {one.other:g} s: '
-        value = 'no value holds' if math.isinf(one.value) else words(one.value)
-        console.print(
-            f'{given}{target.name} = {value}  [{words(one.tighter)}, {words(one.looser)}]'
-        )
+        value = words(one.value)
+        if math.isinf(one.value):
+            value = f'{"no" if (one.value > 0) == target.rises else "every"} value holds'
+        ends = f'[{words(one.tighter)}, {words(one.looser)}]'
+        console.print(f'{given}{target.name} = {value}  {ends}')

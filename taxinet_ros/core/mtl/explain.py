@@ -59,15 +59,6 @@ class Clause:
 class Explanation:
     """What a formula's robustness on a run comes from.
 
-    >>> import pandas as pd
-    >>> import taxinet_ros as tx
-    >>> trace = pd.DataFrame({'t_s': [0, 1, 2], 'a': [5.0, 2.0, 2.0], 'b': [4.0, 3.0, 9.0]})
-    >>> print(tx.robustness('always((a >= 1) and (b >= 2.5))', trace, explain=True))
-    rho +0.500    0.0 s  always((a >= 1) and (b >= 2.5))
-    rho +0.500    1.0 s    (a >= 1) and (b >= 2.5)
-    rho +1.000    1.0 s      a >= 1
-    rho +0.500    1.0 s      b >= 2.5  <- decides
-
     Attributes:
         interval: the interval of the run's robustness; exact for a finished run.
         stamps_ns: stamps of the samples [ns].
@@ -153,9 +144,8 @@ def explain(monitor: Monitor, *, over_time: bool = True) -> Explanation:
             add(inner, row)
 
     add(whole, 0)
-    return Explanation(
-        interval=monitor.reading.interval, stamps_ns=stamps, clauses=tuple(clauses),
-    )
+    now = monitor.reading.interval
+    return Explanation(interval=now, stamps_ns=stamps, clauses=tuple(clauses))
 
 
 class _Part:
@@ -254,15 +244,7 @@ def _window(stamps: Sequence[int], row: int, interval: ast.Interval, *, past: bo
 def _of_pair(
     part: _Part, way: range, rows: range, end: int, value: float
 ) -> tuple[_Part, int] | None:
-    """The operand of until or since, and the sample, that decides at a sample.
-
-    Args:
-        part: until or since.
-        way: samples from that one to the far end of its window.
-        rows: samples in the window.
-        end: end of the interval.
-        value: its value at the sample.
-    """
+    """The operand of until or since, and the sample, that decides at the first of a way."""
     left, right = part.parts
     # The left operand counts at all samples before the one at which the right one does.
     kept = accumulate((left.ends[end](at) for at in way), min, initial=math.inf)

@@ -151,9 +151,10 @@ def parse_template(text: str, step_ns: int) -> Template:
                 fail(_WHERE, after.column, f'{token} has a unit; a time is in seconds without one')
             found.setdefault(token.text, token.column)
     if not 0 < len(found) <= _MOST:
+        letters = ', '.join(sorted(word for word in RESERVED if len(word) == 1))
         raise UsageError(
             f'{_WHERE}: {len(found)} parameters in {text!r}; write one or two names that begin '
-            f'with a capital letter, such as A, B or T (operators are {", ".join(_letters())})'
+            f'with a capital letter, such as A, B or T (operators are {letters})'
         )
     formula, marks = _parsed(text, in_window)
     of: frozenset[str | int] = frozenset((*in_window, *marks.values()))
@@ -172,10 +173,6 @@ def parse_template(text: str, step_ns: int) -> Template:
             step_ns=step_ns,
         ))
     return Template(formula=formula, parameters=tuple(parameters))
-
-
-def _letters() -> list[str]:
-    return sorted(word for word in RESERVED if len(word) == 1)
 
 
 def _parsed(text: str, in_window: Mapping[str, bool]) -> tuple[ast.Formula, dict[str, int]]:

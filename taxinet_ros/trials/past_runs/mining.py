@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from taxinet_ros.bag.errors import BagError
@@ -60,9 +60,7 @@ def program_traces(
         raise UsageError(f'{campaign.folder}: {why}')
     outcomes = {row.index: row.outcome for row in campaign.rows}
     counted = without_gaps(outcomes, campaign.planned_runs)
-    rows = [
-        row for row in campaign.judged if row.index < counted and row.from_program
-    ]
+    rows = [row for row in campaign.judged if row.index < counted and row.from_program]
     traces = []
     for number, row in enumerate(rows, start=1):
         place, bag = campaign.folder / row.run_id, campaign.bag(row)
@@ -121,9 +119,7 @@ def mine(
         # The values of the other one become looser: it has to gain from that.
         if other is None or loose < best:
             best = min(best, loose)
-            yield Mined(
-                other=value, value=one.value, tighter=one.tighter, looser=one.looser,
-            )
+            yield replace(one, other=value)
 
 
 def order(template: Template) -> tuple[Parameter, Parameter | None]:
