@@ -15,14 +15,7 @@ ROW_IN = 0.95
 
 
 def draw_clauses(figure: FigureBase, found: Explanation, theme: Theme, end_s: float) -> None:
-    """Draw the robustness of each part over the samples at which the requirement depends on it.
-
-    Args:
-        figure: where to draw.
-        found: the parts.
-        theme: colours.
-        end_s: planned end of the run [s].
-    """
+    """Draw each part over the samples that the requirement reads; the run ends at ``end_s``."""
     t_s = np.array(found.stamps_ns) / NS_PER_S
     rows = figure.subplots(len(found.clauses), 1, sharex=True, squeeze=False)[:, 0]
     for axes, one in zip(rows, found.clauses, strict=True):
