@@ -19,7 +19,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,7 @@ from taxinet_ros.core.motion.controller import (
     read_command,
 )
 from taxinet_ros.core.mtl import check_read, offline, signal_names
+from taxinet_ros.core.mtl.explain import Explanation, explain_trace
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
@@ -491,9 +492,19 @@ def render(
         raise UsageError(f'render: {error}') from error
 
 
-@takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE)
+@overload
+def robustness(
+    spec: str | Spec, trace: pd.DataFrame, *, explain: Literal[False] = False
+) -> float: ...
+@overload
+def robustness(
+    spec: str | Spec, trace: pd.DataFrame, *, explain: Literal[True]
+) -> Explanation: ...
+@takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE, explain=FLAG)
 @says_parameters
-def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
+def robustness(
+    spec: str | Spec, trace: pd.DataFrame, *, explain: bool = False
+) -> float | Explanation:
     """Robustness of a requirement on a finished trace, which ends at its last row.
 
     >>> import pandas as pd
@@ -511,9 +522,12 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
             is a signal under its own name; its unit is known if it is in ``attrs['units']``. A
             column that is read, or the time, is rejected if its unit there is another, or not one
             of SI, in which formulas compare.
+        explain: whether to return an :class:`~taxinet_ros.core.mtl.explain.Explanation`, which has
+            the robustness of every part of the formula, and the part and the sample that decide.
 
     Returns:
         Signed distance from violation, in the unit of the deciding predicate; > 0 is satisfied.
+        With ``explain``, what it comes from.
 
     Raises:
         UsageError: a bad formula, no time or times of less than 64 bits, two columns of one name, a
@@ -555,6 +569,8 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     _check_units(units, 't_ns' if 't_ns' in trace.columns else 't_s')
     for name in signal_names(asked.formula):
         _check_units(units, name, source_column(name, numbers))
+    if explain:
+        return explain_trace(asked, stamps_ns.tolist(), signals)
     return offline.robustness(asked.formula, stamps_ns, signals)
 
 

@@ -51,6 +51,7 @@ from taxinet_ros.trials.worker_pool import WorkerPool
     perception=WORD, controller=WORD, settings=NONE | MAPPING, stop_on=WORD, bounds=TEXTS,
     rates=TEXTS, latency=TEXTS, world=WORD, until=NONE | WORD, workers=FROM_1,
     cluster=NONE | WORD, lag=FROM_1, out=NONE | PATH, resume=FLAG, odd=NONE | PATH,
+    objective=NONE | WORD,
 )
 @says_parameters
 def falsify(
@@ -62,7 +63,7 @@ def falsify(
     latency: str | Sequence[str] = (), world: str = KMWH, until: str | None = None,
     workers: int = 1, cluster: str | None = None, lag: int = LAG,
     out: str | os.PathLike[str] | None = None, resume: bool = False,
-    odd: str | os.PathLike[str] | None = None,
+    odd: str | os.PathLike[str] | None = None, objective: str | None = None,
 ) -> Campaign:
     """Search a Scenic program for scenes that fail, as ``taxinet falsify`` does, without ROS.
 
@@ -97,6 +98,8 @@ def falsify(
         resume: continue the campaign in ``out``.
         odd: with the sampler ``coverage``, the operational design domain whose cells it covers:
             name of a shipped one, or a YAML file.
+        objective: what the sampler minimises instead of the first of ``specs``: a rulebook, the
+            most important first, such as ``no_collision > on_runway, usable``.
 
     Returns:
         The campaign: rows, counterexamples, rates.
@@ -117,6 +120,7 @@ def falsify(
         dataclasses.replace(options, bags=False, engine=LOOP), sampler=sampler,
         sampler_options=_texts(sampler_options), workers=workers, until=until, lag=lag,
         cluster=cluster, odd=None if odd is None else os.fspath(odd),
+        objective=objective,
     ), participants=())
     with _opened(search) as led:
         _execute(search, led)

@@ -97,6 +97,10 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'analysis.spec:spec',
             'Show how requirements are parsed, and warn of likely mistakes.',
         ),
+        'mine': (
+            'analysis.mine:mine',
+            'Find the tightest parameters with which a formula holds for a share of the runs.',
+        ),
         'evaluate': ('training.evaluate:evaluate', "Measure a network's errors on single frames."),
     },
     'Train': {

@@ -67,6 +67,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bisect': ('taxinet bisect first.safetensors next.safetensors --scene bags/found/RUN',),
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),
     'spec': ("taxinet spec 'always[10 s:inf](abs(steering) <= 3 deg)'",),
+    'mine': ("taxinet mine 'always[T:30](abs(cte) <= A)' bags/found --share 0.95",),
     'evaluate': ('taxinet evaluate s_falsif --perception taxinet --images 500',),
     'dataset': ('taxinet dataset training_full --count 5000 --out bags/pictures',),
     'train': (

@@ -379,6 +379,13 @@ OddOption = Annotated[
         autocompletion=complete_odd,
     ),
 ]
+ObjectiveOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar='RULES', help='what the sampler minimises, of several --spec: a rulebook, the '
+        "most important first, as 'no_collision > on_runway, usable' (default: the first --spec)",
+    ),
+]
 WorkersOption = Annotated[int, typer.Option(help='graphs run in parallel; same results')]
 LagOption = Annotated[
     int,

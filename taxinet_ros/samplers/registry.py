@@ -328,6 +328,8 @@ def _kind(extension: Extension, found: object) -> SamplerKind:
 
 SAMPLERS: Mapping[str, SamplerKind] = Extensions(registry.SAMPLERS, _kind)
 """Every sampler by name."""
+BY_SIZE = ('tpe', 'bo', 'cmaes')
+"""Those that minimise, so that it matters to them how low a failure is."""
 
 
 def make_sampler(

@@ -48,10 +48,12 @@ from taxinet_ros.scenes.source import (
 )
 from taxinet_ros.scenes.values import REJECTION_FEEDBACK
 from taxinet_ros.trials.engine import Proposer, with_workers
+from taxinet_ros.trials.objective import Objective, parse_objective
 from taxinet_ros.trials.odd.odd_file import Odd, find_odd, read_odd
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import (
+    OBJECTIVE,
     ODD,
     UNTIL,
     campaign_facts,
@@ -82,7 +84,7 @@ class Search(Proposer):
 
     Attributes:
         sampler, sampler_options: as given; once prepared, the program's own if none was given.
-        stop, budget_s, lag, odd: as given.
+        stop, budget_s, lag, odd, objective: as given.
         notes: notes on the origin of the sampler and on likely mistakes in the program.
         check: result of checking the requirements, once prepared.
         covering: the sampler that covers ``odd``, or None.
@@ -95,6 +97,7 @@ class Search(Proposer):
         self, campaign: CampaignOptions, *, sampler: str = '',
         sampler_options: Mapping[str, str] = MappingProxyType({}), stop: StopRule | None = None,
         budget_s: float | None = None, lag: int = LAG, odd: Odd | None = None,
+        objective: Objective | None = None,
     ) -> None:
         """Create it; nothing is started.
 
@@ -108,6 +111,7 @@ class Search(Proposer):
             lag: number of runs that may be in flight where scenes depend on results: each is
                 chosen by the results of all but the last ``lag - 1``.
             odd: the operational design domain that the sampler ``coverage`` covers, or None.
+            objective: what the sampler minimises; None for the headline's robustness.
 
         Raises:
             UsageError: there is no such program.
@@ -115,6 +119,7 @@ class Search(Proposer):
         self.campaign, self.runs = campaign, campaign.runs
         self.sampler, self.sampler_options = sampler, sampler_options
         self.stop, self.budget_s, self.lag, self.odd = stop, budget_s, lag, odd
+        self.objective = objective
         self.notes: tuple[str, ...] = ()
         self.check: SpecCheck
         self.covering: Covering | None = None
@@ -222,9 +227,10 @@ class Search(Proposer):
         """See :class:`.Proposer`."""
         if row.outcome is Outcome.INTERRUPTED:
             return
-        known = None if row.index in self._unknown else row.robustness_for_sampler(
-            self.campaign.judging.headline
-        )
+        known = None
+        if row.index not in self._unknown and row.outcome.judged:
+            known = row.robustness_for_sampler(self.campaign.judging.headline) \
+                if self.objective is None else self.objective.value(row.robustness)
         if row.outcome is Outcome.REJECTED and self._sampler.hears_refusals:
             known = self.source.feedback
         self._sampler.tell(row.index, known)
@@ -241,6 +247,8 @@ class Search(Proposer):
         """See :class:`.Proposer`."""
         source = self.source
         whose = self._settle_sampler(source.sampler)
+        if self.objective is not None:
+            self.objective.check(self.sampler)
         self.notes = (*source.notes, *([whose] if whose else []))
         self._sampler = self._make_sampler(source.space())
         if source.feedback is not None and not self._sampler.hears_refusals:
@@ -348,6 +356,7 @@ class Search(Proposer):
             'dimensions': [dimension.name for dimension in self.source.space()],
             # Only the grid depends on the number of runs; the others can be extended.
             'grid_runs': campaign.runs if self.sampler == 'grid' else None,
+            **({OBJECTIVE: self.objective.text} if self.objective is not None else {}),
             **({ODD: json.loads(self.odd.text)} if self.odd is not None else {}),
             **({UNTIL: [str(self.stop)]} if self.stop is not None else {}),
         }
@@ -356,7 +365,7 @@ class Search(Proposer):
 def make_search(
     campaign: CampaignOptions, *, sampler: str | None = None, sampler_options: Iterable[str] = (),
     workers: int = 1, until: str | None = None, budget_min: float | None = None, lag: int = LAG,
-    cluster: str | None = None, odd: str | None = None,
+    cluster: str | None = None, odd: str | None = None, objective: str | None = None,
 ) -> Search:
     """Check what a user asks for.
 
@@ -370,6 +379,7 @@ def make_search(
         lag: see :class:`Search`.
         cluster: a Dask cluster as for :func:`.pool.check_cluster`, or None.
         odd: name or file of an operational design domain, or None.
+        objective: as for :func:`.parse_objective`, or None.
 
     Raises:
         UsageError: one line on the first error.
@@ -402,6 +412,9 @@ def make_search(
         campaign, sampler=sampler or '', sampler_options=options, stop=stop,
         budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
         odd=None if odd is None else read_odd(find_odd(odd)),
+        objective=None if objective is None else parse_objective(
+            objective, campaign.judging.names
+        ),
     )
 
 

@@ -104,7 +104,8 @@ def search_summary(search: Engine[Search], resuming: str = '--resume') -> list[s
     lines += found.blind_words()
     if (worst := found.worst) is not None:
         lines.append(f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}')
-    lines += [*_odd_lines(search), found.table_line(campaign), *found.next_line(campaign)]
+    lines += [*_rule_lines(search), *_odd_lines(search), found.table_line(campaign)]
+    lines += found.next_line(campaign)
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(found) < search.options.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'
@@ -138,6 +139,20 @@ def _rate_lines(search: Engine[Search]) -> list[str]:
     return lines
 
 
+def _rule_lines(search: Engine[Search]) -> list[str]:
+    """Which runs break each rule of the objective."""
+    objective = search.proposer.objective
+    lines = []
+    for name in () if objective is None else objective.rules:
+        broken = [row.index for row in search.rows
+                  if row.outcome.judged and row.robustness[name].failed]
+        named = ', '.join(map(str, broken[:_MOST_BROKEN]))
+        more = ', …' if len(broken) > _MOST_BROKEN else ''
+        lines.append(f'{name}: broken in {len(broken)} runs{f" ({named}{more})" if broken else ""}')
+    return lines
+
+
+_MOST_BROKEN = 10
 _COMBINATIONS = {1: 'cells', 2: 'pairs of cells', 3: 'triples of cells'}
 _MOST_UNSEEN = 5
 

@@ -220,7 +220,8 @@ ARGUMENTS = {
     'gate': ('c',), 'fork': (BAG,), 'train': ('s_falsif', '--out', 'n.safetensors'),
     'analyze': ('c',), 'forecast show': ('f', BAG), 'bag replay': (BAG,),
     'bag compare': (BAG, BAG), 'estimate': ('s_falsif',), 'falsify': ('s_falsif',),
-    'spec': ('phi_always',), 'camera compare': ('c',), 'check-node': ('true',),
+    'spec': ('phi_always',), 'mine': ('always(cte <= A)', 'c'), 'camera compare': ('c',),
+    'check-node': ('true',),
 }
 
 

@@ -35,6 +35,7 @@ from taxinet_ros.analysis.explain.track import (
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.core.mtl.explain import Explanation as Clauses
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import NetworkPerception, Perception
 from taxinet_ros.core.renderer import OURS, ChosenRenderer
@@ -87,6 +88,7 @@ class Explanation:
             asked; None if none was.
         hidden: scenario keys that were not changed, as this camera does not show them.
         outcome: outcome of the recorded run, or '' if the bag ends before.
+        clauses: what the robustness of its headline requirement comes from, if it was evaluated.
     """
 
     bag: Path
@@ -102,6 +104,7 @@ class Explanation:
     again: Effect | None = None
     hidden: tuple[str, ...] = ()
     outcome: str = ''
+    clauses: Clauses | None = None
 
     @property
     def own(self) -> bool:
@@ -183,6 +186,7 @@ def explain(
         reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
         hidden=() if renderer is None else not_shown(renderer.shows),
         outcome='' if recording.facts is None else recording.facts.outcome,
+        clauses=recording.judge(run.request.judging.specs[0], explain=True).explanation,
     )
 
 

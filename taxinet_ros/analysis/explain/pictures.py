@@ -25,8 +25,10 @@ from taxinet_ros.analysis.explain.explain import (
 )
 from taxinet_ros.analysis.explain.occlusion import STRIDE_PX
 from taxinet_ros.analysis.explain.track import Floats, Frame, Moment
+from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
+from taxinet_ros.core.mtl.explain import Explanation as Clauses
 from taxinet_ros.core.types import TrackingError
 
 _TRUE, _BELIEVED = '#35d0ff', '#ff9d00'
@@ -44,6 +46,17 @@ def error_picture(found: Explanation) -> Picture:
         caption='Cross-track and heading error, true and estimated, left positive; and by how much '
         'the estimate misleads the steering law. Vertical lines: the examined moments.',
         draw=partial(_draw_errors, found), size_in=(8.0, 6.0),
+    )
+
+
+def clause_picture(clauses: Clauses) -> Picture:
+    """Robustness of each part of the requirement over time."""
+    return Picture(
+        name='explain-clauses', title='The parts of the requirement',
+        caption='Robustness of each part at the samples at which the requirement depends on it. '
+        'Circles: the samples by which it is decided; filled: the predicate that decides.',
+        draw=lambda figure, theme: draw_clauses(figure, clauses, theme, 0.0),
+        size_in=(9.0, 0.3 + ROW_IN * len(clauses.clauses)),
     )
 
 

@@ -16,12 +16,14 @@ from taxinet_ros.analysis.explain.explain import (
     moment_words,
 )
 from taxinet_ros.analysis.explain.pictures import (
+    clause_picture,
     error_picture,
     factor_picture,
     occlusion_picture,
     scene_picture,
 )
 from taxinet_ros.analysis.explain.track import Moment
+from taxinet_ros.analysis.one_run.judged import clauses_json
 from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import Cell, Column, Picture, Report, Table
 from taxinet_ros.analysis.report.text import environment, fill_report
@@ -70,6 +72,8 @@ def _figures(found: Explanation) -> dict[str, Sequence[Picture | Table]]:
         'errors': (error_picture(found), _moment_table(found)),
         'attention': tuple(map(occlusion_picture, found.insights)),
     }
+    if found.clauses is not None:
+        figures['requirement'] = (clause_picture(found.clauses),)
     if found.effects:
         scenes = (scene_picture(found, number) for number in range(len(found.insights)))
         figures['scenes'] = (factor_picture(found), *scenes, _factor_table(found))
@@ -112,6 +116,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
              'rho': None if rerun.robustness is None else rerun.robustness.lower}
             for rerun in found.reruns
         ],
+        **clauses_json(found.clauses),
         'moments': [_moment_json(found, number) for number in range(len(found.insights))],
         'sentences': list(explain_report(found).summary),
     })

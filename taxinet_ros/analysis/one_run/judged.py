@@ -17,8 +17,10 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import run_samples
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
+from taxinet_ros.core.mtl.explain import DECIDES, Explanation
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.judge import SpecCheck, describe_specs, signal_ranges
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import plain
@@ -48,6 +50,8 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
             yield Text(f'{name}  {one.spec.name:<{width}}  {text}', style='yellow')
         if one.verdict is BagVerdict.UNCLEAR:
             yield Text(f'{name}  {one.why}', style='yellow')
+        for text in () if one.explanation is None else one.explanation.lines():
+            yield Text(f'    {text}', style='bold' if text.endswith(DECIDES) else '')
     if bag.blind:
         text = f'{bag.blind} of {bag.frames} frames without a usable estimate'
         yield Text(f'{name}  warning: {text}', style='yellow')
@@ -97,12 +101,25 @@ def judged_json(bags: Iterable[JudgedBag], warnings: Sequence[str] = ()) -> dict
                     'spec': one.spec.name, 'formula': one.spec.text, 'verdict': one.verdict,
                     **one.interval.by_end(), 'decided_s': one.decided_s, 'breach_s': one.breach_s,
                     'recorded': one.recorded and [*one.recorded], 'as_recorded': one.same,
-                    'why_unclear': one.why,
+                    'why_unclear': one.why, **clauses_json(one.explanation),
                 }
                 for one in bag.verdicts
             ],
         } for bag in bags
     ]})
+
+
+def clauses_json(found: Explanation | None) -> dict[str, Any]:
+    """Every part of a formula at the sample that matters; nothing if it was not asked for."""
+    if found is None:
+        return {}
+    return {'witness_s': found.witness_s, 'clauses': [
+        {
+            'text': one.text, 'columns': [*one.columns], 'depth': one.depth,
+            'at_s': found.stamps_ns[one.row] / NS_PER_S,
+            **(one.interval.by_end() if one.interval else {}), 'decides': one.decides,
+        } for one in found.clauses
+    ]}
 
 
 def _time_words(one: SpecVerdict) -> str:

@@ -18,6 +18,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
+from taxinet_ros.analysis.report.parts import Theme
 from taxinet_ros.bag.check.judge import JudgedBag
 from taxinet_ros.bag.run.judging import (
     BagVerdict,
@@ -39,6 +41,9 @@ _COLOURS = {BagVerdict.SATISFIED: _ALLOWED, BagVerdict.VIOLATED: _BROKEN,
             BagVerdict.MARGINAL: _BROKEN}
 _HOLDS: dict[str, Any] = {'color': _ALLOWED, 'alpha': 0.13, 'linewidth': 0}
 _STILL_POSSIBLE: dict[str, Any] = {'color': _INTERVAL, 'alpha': 0.35, 'linewidth': 0}
+_THEME = Theme(
+    ink='0.25', faint='0.92', paper='white', passed=_SIGNAL, failed=_BROKEN, others=(),
+)
 _MOMENT: dict[str, Any] = {'linewidth': 1.6, 'linestyle': (0, (4, 2))}
 _PICTURE = '.png'
 _MOST_ATOMS = 4
@@ -74,11 +79,11 @@ def robustness_picture(
         raise ValueError('no samples to draw, or no requirement')
     t_s = np.array(stamps_ns) / NS_PER_S
     heights = [max(1, min(len(atoms(one.verdict.spec.formula)), _MOST_ATOMS)) for one in judged]
-    figure = Figure(
-        figsize=(12.5, 0.7 + 0.9 * len(judged) + 2.3 * sum(heights)), dpi=110, layout='constrained'
-    )
+    ratios = [
+        0.9 + 2.3 * height + _clauses_in(one) for height, one in zip(heights, judged, strict=True)
+    ]
+    figure = Figure(figsize=(12.5, 0.7 + sum(ratios)), dpi=110, layout='constrained')
     figure.suptitle(title, fontsize=12)
-    ratios = [height + 0.4 for height in heights]
     rows = figure.subfigures(len(judged), 1, height_ratios=ratios, squeeze=False)
     for place, one in zip(rows[:, 0], judged, strict=True):
         _draw(place, one, t_s, samples, end_s)
@@ -94,6 +99,12 @@ def _draw(
     shown = atoms(spec.formula)[:_MOST_ATOMS]
     place.suptitle(f'{spec.name}:  {_short(spec.text)}', fontsize=10, x=0.01, ha='left',
                    family='monospace')
+    found = one.verdict.explanation
+    if found is not None:
+        part_in = 0.9 + 2.3 * len(shown)
+        ratios = [part_in, _clauses_in(one)]
+        place, below = place.subfigures(2, 1, height_ratios=ratios, squeeze=False)[:, 0]
+        draw_clauses(below, found, _THEME, end_s)
     left, right = place.subfigures(1, 2, squeeze=False)[0]
     panels = left.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     panels[0].set_title(' ', fontsize=10)  # same height as its neighbour, which has a title
@@ -110,6 +121,12 @@ def _draw(
         if t_s[-1] < end_s:
             each.axvspan(float(t_s[-1]), end_s, facecolor='0.93', hatch='//', edgecolor='0.85',
                          linewidth=0, zorder=0)
+
+
+def _clauses_in(one: JudgedSpec) -> float:
+    """Height of the picture of a requirement's parts [inch]."""
+    found = one.verdict.explanation
+    return 0.0 if found is None else ROW_IN * len(found.clauses) + 0.3
 
 
 def _draw_atom(
@@ -272,11 +289,12 @@ def draw_bag(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
         UsageError: it cannot be written.
     """
     specs = [one.spec for one in bag.verdicts]
+    explained = any(one.explanation for one in bag.verdicts)
     runs = run_samples(open_recording(bag.path), signals_of_specs(specs))
     samples = next(one for one in runs if one.run == bag.run)
     judged = []
     for spec in specs:
-        verdict, readings = judge_spec(samples, spec, vouched)
+        verdict, readings = judge_spec(samples, spec, vouched, explained=explained)
         # If a topic it reads is missing, nothing more is known.
         at = dict(zip(samples.seen_by(spec).stamps_ns, readings, strict=False))
         known = accumulate(

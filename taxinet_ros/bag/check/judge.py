@@ -69,7 +69,8 @@ class JudgedBag:
 
 
 def judge_runs(
-    path: Path, specs: Sequence[Spec] = (), assumptions: Assumptions | None = None
+    path: Path, specs: Sequence[Spec] = (), assumptions: Assumptions | None = None,
+    explained: bool = False,
 ) -> list[JudgedBag]:
     """Judge every run in a bag. Damage is reported in the result, not raised.
 
@@ -77,17 +78,19 @@ def judge_runs(
         path: a bag's folder or an ``.mcap`` file.
         specs: requirements; empty: each run's own.
         assumptions: assumptions; None: the recorded ones.
+        explained: whether to say which part of a formula and which sample decide.
     """
     try:
         names = signals_of_specs(specs) if specs else None
         runs = run_samples(open_recording(path), names)
     except BagError as error:
         return [JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))]
-    return [_judge_run(path, samples, specs, assumptions) for samples in runs]
+    return [_judge_run(path, samples, specs, assumptions, explained) for samples in runs]
 
 
 def _judge_run(
-    path: Path, samples: RunSamples, specs: Sequence[Spec], assumptions: Assumptions | None
+    path: Path, samples: RunSamples, specs: Sequence[Spec], assumptions: Assumptions | None,
+    explained: bool,
 ) -> JudgedBag:
     if not samples.duration_ns and samples.trouble:
         return JudgedBag(path=path, run=samples.run, trouble=samples.trouble)
@@ -97,7 +100,9 @@ def _judge_run(
     unusable = samples.unusable_estimates
     return JudgedBag(
         path=path, run=samples.run,
-        verdicts=tuple(judge_spec(samples, spec, assumptions)[0] for spec in chosen),
+        verdicts=tuple(
+            judge_spec(samples, spec, assumptions, explained=explained)[0] for spec in chosen
+        ),
         end_s=samples.stamps_ns[-1] / NS_PER_S if samples.stamps_ns else -1.0,
         duration_s=samples.duration_ns / NS_PER_S,
         stopped_early=samples.stopped_early,
@@ -114,15 +119,16 @@ _CHUNK = 8
 
 def judge_bags(
     paths: Sequence[Path], specs: Sequence[Spec], workers: int,
-    assumptions: Assumptions | None = None,
+    assumptions: Assumptions | None = None, *, explained: bool = False,
 ) -> Iterator[JudgedBag]:
     """Judge all runs of several bags, in the order of the paths; see :func:`judge_runs`."""
     if workers == 1 or len(paths) < 2 * _CHUNK:
         for path in paths:
-            yield from judge_runs(path, specs, assumptions)
+            yield from judge_runs(path, specs, assumptions, explained)
         return
     with process_pool(workers, 'judging worker') as pool:
         for runs in pool.map(
-            judge_runs, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
+            judge_runs, paths, repeat(tuple(specs)), repeat(assumptions), repeat(explained),
+            chunksize=_CHUNK,
         ):
             yield from runs

@@ -6,6 +6,7 @@ recorded robustness bit for bit.
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from taxinet_ros.core.mtl import (
     Spec,
     signal_names,
 )
+from taxinet_ros.core.mtl.explain import Explanation, explain
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -65,6 +67,8 @@ class SpecVerdict:
         breach_s: time at which a sample violated the assumptions [s], or None; from then on the
             interval is computed without them.
         why: reason for UNCLEAR in one line, or ''.
+        explanation: which part of the formula and which sample decide, if that was asked for; None
+            also without any sample.
     """
 
     spec: Spec
@@ -75,6 +79,7 @@ class SpecVerdict:
     same: bool | None
     breach_s: float | None
     why: str = ''
+    explanation: Explanation | None = None
 
 
 def signals_of_specs(specs: Sequence[Spec]) -> set[str]:
@@ -83,7 +88,8 @@ def signals_of_specs(specs: Sequence[Spec]) -> set[str]:
 
 
 def judge_spec(
-    samples: RunSamples, spec: Spec, assumptions: Assumptions | None = None
+    samples: RunSamples, spec: Spec, assumptions: Assumptions | None = None, *,
+    explained: bool = False,
 ) -> tuple[SpecVerdict, list[Reading]]:
     """Judge a run by one requirement; return the verdict and the reading of each sample.
 
@@ -91,19 +97,22 @@ def judge_spec(
     """
     vouched = samples.assumptions if assumptions is None else assumptions
     samples = samples.seen_by(spec)
-    readings = readings_of(samples, spec, vouched)
+    monitor = Monitor(
+        spec, samples.duration_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
+    )
+    readings = _readings(samples, monitor)
     alike = vouched == samples.assumptions or readings[-1].final
-    return _spec_verdict(samples, spec, readings, alike=alike), readings
+    verdict = _spec_verdict(samples, spec, readings, alike=alike)
+    if explained and monitor.reading.samples:
+        verdict = dataclasses.replace(verdict, explanation=explain(monitor))
+    return verdict, readings
 
 
-def readings_of(samples: RunSamples, spec: Spec, vouched: Assumptions) -> list[Reading]:
+def _readings(samples: RunSamples, monitor: Monitor) -> list[Reading]:
     """Reading after each sample, as during the run; the initial reading if there are none.
 
     A formula holds at the first step. If that is lost, nothing is known, whatever came after it.
     """
-    monitor = Monitor(
-        spec, samples.duration_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
-    )
     if samples.stamps_ns and samples.stamps_ns[0] > 0:
         return [monitor.reading] * len(samples.stamps_ns)
     pairs = zip(samples.stamps_ns, samples.samples, strict=True)

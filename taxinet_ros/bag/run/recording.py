@@ -467,13 +467,16 @@ class Recording(Sequence['Recording']):
             self.choose(None)
         return found[0]
 
-    @takes(spec=TEXT | _SPEC, assumptions=NONE | _ASSUMPTIONS)
-    def judge(self, spec: Spec | str, assumptions: Assumptions | None = None) -> SpecVerdict:
+    @takes(spec=TEXT | _SPEC, assumptions=NONE | _ASSUMPTIONS, explain=FLAG)
+    def judge(
+        self, spec: Spec | str, assumptions: Assumptions | None = None, *, explain: bool = False
+    ) -> SpecVerdict:
         """Judge the run by any requirement.
 
         Args:
             spec: the requirement, or its text, e.g. ``phi_always`` or ``always(abs(cte) <= 3)``.
             assumptions: assumptions; None: the recorded ones.
+            explain: whether the verdict's ``explanation`` says which clause and sample decide.
 
         Raises:
             UsageError: an invalid formula, or a recording of several runs.
@@ -484,7 +487,7 @@ class Recording(Sequence['Recording']):
 
         asked = parse_spec(spec) if isinstance(spec, str) else spec
         samples = self.samples_of(signal_names(asked.formula))
-        return judge_spec(samples, asked, assumptions)[0]
+        return judge_spec(samples, asked, assumptions, explained=explain)[0]
 
     # ---- camera frames -----------------------------------------------------------------------
 

@@ -46,6 +46,12 @@ def monitor(
     add: Annotated[
         bool, typer.Option('--add', help="add a column for each new formula to a campaign's table")
     ] = False,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            '--explain', help='robustness of each part of a formula, and the sample that decides'
+        ),
+    ] = False,
     as_json: JsonOption = False,
     workers: Annotated[int, typer.Option(min=1, help='worker processes; same results')] = 2,
 ) -> int:
@@ -81,6 +87,7 @@ def monitor(
         check_plot(plot, paths)
     judged = _judged(
         paths, chosen, workers, vouched, as_json=as_json, named=bags, run=run_id, told=told,
+        explain=explain,
     )
     if plot is not None:
         check_one_run(plot, judged)
@@ -102,7 +109,7 @@ def monitor(
 
 def _judged(
     bags: Sequence[Path], specs: Sequence[Spec], workers: int, vouched: Assumptions | None, *,
-    as_json: bool, named: Sequence[Path], run: str | None, told: RequirementNotes,
+    as_json: bool, named: Sequence[Path], run: str | None, told: RequirementNotes, explain: bool,
 ) -> list[JudgedBag]:
     """Judge all bags and print each verdict as soon as it is available."""
     from taxinet_ros.analysis.one_run.judged import bag_lines, check_own_read
@@ -118,7 +125,7 @@ def _judged(
     judged: list[JudgedBag] = []
     places = BagPlaces()
     with stage_bars(console) as show:
-        for bag in judge_bags(bags, specs, workers, vouched):
+        for bag in judge_bags(bags, specs, workers, vouched, explained=explain):
             if bag.foreign and bag.path in named:
                 raise UsageError(bag.trouble)
             if chosen is not None and bag.run not in ('', chosen):

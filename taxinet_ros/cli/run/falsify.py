@@ -20,6 +20,7 @@ from taxinet_ros.cli.options import (
     LatencyOption,
     MonitorOption,
     MostRunsOption,
+    ObjectiveOption,
     OddOption,
     OutOption,
     PerceptionCommandOption,
@@ -50,6 +51,7 @@ def falsify(
     sampler: SamplerOption = None,
     sampler_option: SamplerSettingOption = None,
     odd: OddOption = None,
+    objective: ObjectiveOption = None,
     workers: WorkersOption = 1,
     cluster: ClusterOption = None,
     lag: LagOption = 8,
@@ -97,5 +99,6 @@ def falsify(
         search = make_search(
             campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
             until=until, budget_min=budget, lag=lag, cluster=cluster, odd=odd,
+            objective=objective,
         )
     raise ended(run_falsify(search, quiet=quiet, as_json=as_json), exit_zero)

@@ -91,18 +91,26 @@ def window_offsets(interval: ast.Interval, past: bool) -> tuple[float, float]:
 
 def normalise(formula: ast.Formula, *, negated: bool = False) -> Core:
     """Core form of a formula, or of its negation; equal subformulas are one object."""
-    return _Normaliser().core(formula, negated)
+    return Normaliser().core(formula, negated)
 
 
-class _Normaliser:
+class Normaliser:
+    """Makes core forms; equal subformulas of all its formulas are one object.
+
+    Attributes:
+        done: core forms by formula and whether it is negated.
+    """
+
     def __init__(self) -> None:
-        self._done: dict[tuple[ast.Formula, bool], Core] = {}
+        """Create it without any core form."""
+        self.done: dict[tuple[ast.Formula, bool], Core] = {}
 
     def core(self, formula: ast.Formula, negated: bool) -> Core:
+        """Core form of a formula, or of its negation."""
         key = formula, negated
-        if key not in self._done:
-            self._done[key] = self._made(formula, negated)
-        return self._done[key]
+        if key not in self.done:
+            self.done[key] = self._made(formula, negated)
+        return self.done[key]
 
     def _made(self, formula: ast.Formula, negated: bool) -> Core:
         match formula:

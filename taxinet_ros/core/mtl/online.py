@@ -14,7 +14,7 @@ from taxinet_ros.core.mtl.interval import RobustnessInterval, Verdict
 from taxinet_ros.core.mtl.lower_bounds.builder import Builder, Root
 from taxinet_ros.core.mtl.lower_bounds.nodes import AtomBound, BoundRequest
 from taxinet_ros.core.mtl.margin import Margins
-from taxinet_ros.core.mtl.normal_form import CoreAtom, normalise
+from taxinet_ros.core.mtl.normal_form import CoreAtom
 from taxinet_ros.core.mtl.sliding import INF
 from taxinet_ros.core.mtl.specs import SIGNALS, Spec
 from taxinet_ros.core.types import NS_PER_S
@@ -107,6 +107,23 @@ class Monitor:
     def reading(self) -> Reading:
         """The current reading."""
         return self._reading
+
+    @property
+    def stamps_ns(self) -> tuple[int, ...]:
+        """Stamps of the samples used for the interval [ns]."""
+        return tuple(self._stamps_ns)
+
+    def roots(self) -> tuple[Root, Root]:
+        """Lower bounds of the formula and of its negation, brought up to date.
+
+        Raises:
+            UsageError: there is no sample yet.
+        """
+        if self._roots is None:
+            raise UsageError(f'monitor: {self.spec.name} has no sample yet')
+        for root in self._roots:
+            root.follow(self.horizon_ns if self._complete else self._stamps_ns[-1])
+        return self._roots
 
     def push(self, stamp_ns: int, sample: Mapping[str, float]) -> Reading:
         """Process a sample.
@@ -205,8 +222,8 @@ class Monitor:
         """Build the nodes of the formula and of its negation, both evaluated at sample 0."""
         lower, upper = (
             Root(
-                normalise(self.spec.formula, negated=negated),
-                Builder(self._stamps_ns, self.horizon_ns, self._atom), self._stamps_ns[0],
+                self.spec.formula, Builder(self._stamps_ns, self.horizon_ns, self._atom),
+                self._stamps_ns[0], negated=negated,
             )
             for negated in (False, True)
         )

@@ -108,6 +108,7 @@ def spec_status(node: str, spec: Spec, standing: Standing, silence: str) -> Diag
     values = {
         'formula': spec.text, **reading.interval.by_end(),
         'samples': reading.samples, 'rejected': reading.rejected,
+        **{f'part {number}': part for number, part in enumerate(standing.parts, start=1)},
     }
     return status(level, f'{node}: {spec.name}', line, values)
 

@@ -19,6 +19,7 @@ from taxinet_ros.core.mtl import (
     Verdict,
     signal_names,
 )
+from taxinet_ros.core.mtl.explain import explain
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.extras.live_monitor.sample_hold import Sample
 
@@ -38,6 +39,8 @@ class Standing:
         trouble: what made the stretch invalid for this formula, or ''.
         breach: how a sample violated the assumptions, or ''. An earlier verdict is then withdrawn,
             because it may depend on them.
+        parts: robustness of each part of the formula at that verdict, one line each, with the
+            predicate and the sample that decide.
     """
 
     reading: Reading
@@ -45,6 +48,7 @@ class Standing:
     decided_s: float = -1.0
     trouble: str = ''
     breach: str = ''
+    parts: tuple[str, ...] = ()
 
 
 class Stretch:
@@ -119,15 +123,17 @@ class Stretch:
         elapsed_ns = sample.stamp_ns - self._start_ns
         reading = monitor.push(elapsed_ns, sample.values)
         decided, decided_s, trouble = old.decided, old.decided_s, old.trouble
+        parts = old.parts
         if monitor.breach and not old.breach:
-            decided, decided_s = Verdict.UNKNOWN, -1.0
+            decided, decided_s, parts = Verdict.UNKNOWN, -1.0, ()
         if reading.verdict is not Verdict.UNKNOWN and decided is Verdict.UNKNOWN:
             decided, decided_s = reading.verdict, min(elapsed_ns, self._horizon_ns) / NS_PER_S
+            parts = tuple(explain(monitor, over_time=False).lines())
         if not reading.valid and not trouble:
             trouble = f'at {elapsed_ns / NS_PER_S:g} s: {self._trouble(monitor.spec, sample)}'
         return Standing(
             reading=reading, decided=decided, decided_s=decided_s, trouble=trouble,
-            breach=monitor.breach,
+            breach=monitor.breach, parts=parts,
         )
 
     def _trouble(self, spec: Spec, sample: Sample) -> str:

@@ -53,7 +53,7 @@ ENGINE, AUDIT_PERCENT = 'engine', 'audit_percent'
 WORLD_SHA256 = 'world_sha256'
 """The fact that identifies a world with another camera than its own."""
 
-ODD = 'odd'
+OBJECTIVE, ODD = 'objective', 'odd'
 UNTIL = 'until'
 """The fact that lists the stop rules of a search's sessions; absent without any."""
 

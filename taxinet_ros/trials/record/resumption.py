@@ -23,6 +23,7 @@ from taxinet_ros.trials.record.facts import (
     AUDIT_PERCENT,
     ENGINE,
     EXTENSIONS,
+    OBJECTIVE,
     ODD,
     STACKS,
     UNTIL,
@@ -193,7 +194,7 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
             raise UsageError(f'--resume: {out / RECORD_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
     check_same_files(f'--resume: {out}', before, now)
-    for name in dict.fromkeys((*now, ODD)):
+    for name in dict.fromkeys((*now, ODD, OBJECTIVE)):
         if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '

@@ -111,8 +111,13 @@ def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_pa
     # It rains so hard that the network is blind; in fair weather it sees.
     assert found['blamed'] in ('rain', 'overcast', 'clear')
     names = {path.name for path in (tmp_path / 'x').iterdir()}
-    assert {'explain.html', 'explain.json', 'explain-errors.png', 'explain-factors.png',
-            f'explain-scenes-{row:04d}.png', f'explain-patches-{row:04d}.png'} <= names
+    decided = [clause['text'] for clause in found['clauses'] if clause['decides']]
+    assert decided[-1] == 'abs(cte) <= 1.5'
+    assert f'decided by abs(cte) &lt;= 1.5 at {found["witness_s"]:.1f} s' in (
+        tmp_path / 'x' / 'explain.html').read_text()
+    assert {'explain.html', 'explain.json', 'explain-clauses.png', 'explain-errors.png',
+            'explain-factors.png', f'explain-scenes-{row:04d}.png',
+            f'explain-patches-{row:04d}.png'} <= names
 
 
 @pytest.mark.nightly

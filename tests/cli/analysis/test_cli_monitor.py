@@ -122,6 +122,37 @@ def test_given_new_requirements_then_each_gets_a_verdict_that_the_bag_had_never_
     assert call(capsys, whole / f'{whole.name}_0.mcap', '--spec', 'fast=G speed > 9')[0] == 1
 
 
+def test_given_explain_then_each_part_and_the_deciding_sample_are_told_and_nothing_else_changes(
+    whole, capsys, tmp_path
+):
+    spec = 'both=always((abs(steering) <= 9) and (abs(cte) <= 0.1))'
+    plain = call(capsys, whole, '--spec', spec)
+    code, out, err = call(capsys, whole, '--spec', spec, '--explain')
+    parts = [line for line in out.splitlines() if line.startswith('    ')]
+    assert (code, out.replace(''.join(f'{line}\n' for line in parts), ''), err) == plain
+    (samples,) = run_samples(open_recording(whole), ['cte'])
+    cte = [abs(sample['cte']) for sample in samples.samples]
+    at_s = samples.stamps_ns[cte.index(max(cte))] / 1e9
+    worst = re.escape(f'rho {0.1 - max(cte):+.3f}  {at_s:5.1f} s  ')
+    assert [re.match(worst, line.strip()) is not None for line in parts] == [
+        at_s == 0, True, False, True
+    ]
+    assert parts[3].endswith('abs(cte) <= 0.1  <- decides')
+    _, out, _ = call(capsys, whole, '--spec', spec, '--explain', '--json')
+    (one,) = json.loads(out)['bags'][0]['verdicts']
+    assert one['witness_s'] == at_s
+    assert [clause['decides'] for clause in one['clauses']] == [True, True, False, True]
+    low, high = one['clauses'][3]['columns']
+    assert one['formula'][low - 1:high] == one['clauses'][3]['text'] == 'abs(cte) <= 0.1'
+    _, out, _ = call(capsys, whole, '--spec', spec, '--json')
+    assert 'clauses' not in json.loads(out)['bags'][0]['verdicts'][0]
+    code, out, _ = call(capsys, whole, '--spec', spec, '--explain', '--plot', tmp_path / 'x.png')
+    assert f'picture: {tmp_path / "x.png"}' in out
+    found = open_recording(whole).judge(spec, explain=True).explanation
+    assert found.witness_s == at_s
+    assert open_recording(whole).judge(spec).explanation is None
+
+
 def test_given_a_stopped_run_when_a_new_requirement_is_open_then_it_is_incomplete(
     campaign, capsys
 ):

@@ -57,6 +57,21 @@ def test_given_no_horizon_then_always_stays_open_until_it_is_violated():
     assert not stretch.ended
 
 
+def test_given_a_verdict_then_its_parts_and_the_sample_that_decides_are_kept():
+    both = parse_spec('both=always((abs(y) <= 1.5) and (v <= 1))', signals=['y', 'v'])
+    stretch = Stretch([both])
+    push(stretch, 50, 1.0)
+    assert stretch.standings[0].parts == ()
+    push(stretch, 51, 1.0, 3.0)
+    push(stretch, 52, 9.0, 3.0)
+    assert stretch.standings[0].parts == (
+        'rho within [-inf, -2.000]    0.0 s  always((abs(y) <= 1.5) and (v <= 1))',
+        'rho -2.000                   1.0 s    (abs(y) <= 1.5) and (v <= 1)',
+        'rho +0.500                   1.0 s      abs(y) <= 1.5',
+        'rho -2.000                   1.0 s      v <= 1  <- decides',
+    )
+
+
 def test_given_a_value_that_is_none_then_only_formulas_that_read_it_lose_their_validity():
     stretch = Stretch([NEAR, SOON], max_gap_ns=S)
     push(stretch, 0, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from taxinet_ros.core.mtl import ast
@@ -26,6 +27,7 @@ from taxinet_ros.core.mtl.normal_form import (
     CoreJoin,
     CoreShift,
     CoreWindow,
+    Normaliser,
     normalise,
     window_offsets,
 )
@@ -48,9 +50,13 @@ class Root:
         wake_ns: before this time the bound cannot change, and :meth:`follow` need not be called.
     """
 
-    __slots__ = ('_node', '_steps', 'bound', 'wake_ns')
+    __slots__ = ('_builder', '_cores', '_node', '_steps', 'bound', 'wake_ns')
 
-    def __init__(self, core: Core, builder: Builder, first_ns: int) -> None:
+    def __init__(
+        self, formula: ast.Formula, builder: Builder, first_ns: int, *, negated: bool
+    ) -> None:
+        self._builder, self._cores = builder, Normaliser()
+        core = self._cores.core(formula, negated)
         self._node = node = builder.build(core, first_ns, first_ns)
         self._steps = [part.step for part in builder.nodes]
         self.bound = node.floor
@@ -66,6 +72,23 @@ class Root:
             self.bound = node.value[0] + 0.0
         if now_ns >= node.final_ns:
             self.wake_ns = INF
+
+    def bounds_of(self, part: ast.Formula, negated: bool) -> Callable[[int], float]:
+        """Lower bound of a subformula, or of its negation, by the index of a sample.
+
+        It is NaN where the whole formula does not depend on it. Call :meth:`follow` before, as
+        nothing is computed before ``wake_ns``.
+        """
+        nodes = self._builder.nodes_of(self._cores.done[part, negated])
+        stamps_ns = self._node.stamps_ns
+
+        def bound(row: int) -> float:
+            for node in nodes:
+                if node.begin_ns <= stamps_ns[row] <= node.end_ns:
+                    return node.value[row] if row < node.rows else node.floor
+            return math.nan
+
+        return bound
 
 
 class Builder:
@@ -106,6 +129,10 @@ class Builder:
                     f'{MAX_NODES:,} parts, each level twice as many; write fewer levels'
                 )
         return node
+
+    def nodes_of(self, core: Core) -> list[LowerBound]:
+        """Nodes of a core formula, one for each range in which it is evaluated."""
+        return [node for (made_of, *_), node in self._built.items() if made_of == id(core)]
 
     def _made(self, core: Core, begin_ns: float, end_ns: float) -> LowerBound:
         asked = self._asked(begin_ns, end_ns)
