@@ -58,7 +58,7 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
 from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -392,7 +392,10 @@ def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     values = by_key(values)
     unknown = [key for key in values if key not in BY_KEY]
     if unknown:
-        raise UsageError(f'scenario: unknown key {unknown[0]!r}; known: {", ".join(HUMAN_KEYS)}')
+        raise UsageError(
+            f'scenario: unknown key {unknown[0]!r}{near_miss(unknown[0], BY_KEY)}; '
+            f'known: {", ".join(HUMAN_KEYS)}'
+        )
     scenario = Scenario(**{
         BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()
     })
