@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.analysis.report.pictures import PictureView, data_address, view_picture
 from taxinet_ros.analysis.report.viewer import RunView
+from taxinet_ros.analysis.runs.settled import deciding_steps
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 
 _BEYOND_EDGE_M = 3.0
@@ -47,8 +48,8 @@ def rho_words(rho: float) -> str:
 def view_worst(view: RunView, rho: float | None) -> WorstView:
     """Prepare a run for the first screen.
 
-    The frame is that at which the estimate is farthest off while the aircraft is on the pavement,
-    or the aircraft from the line where no estimate is known.
+    The frame is that at which the estimate is farthest off before the aircraft leaves its line, or
+    the aircraft from the line where no estimate is known.
 
     Args:
         view: the run, of one step or more.
@@ -80,7 +81,9 @@ def _moment(view: RunView) -> tuple[int, bool]:
     rows = np.array(view.frames.steps or range(len(view.t_s)))
     cte = view.curves['cte'][rows]
     wrong = np.abs(view.curves['cteEstimate'][rows] - cte)
-    wrong[np.abs(cte) > view.half_width_m] = np.nan
+    off = np.abs(view.curves['cte']) > view.half_width_m
+    on = int(off.argmax()) if off.any() else len(off)
+    wrong[rows >= deciding_steps(view.curves['cte'][:on], np.asarray(view.t_s))] = np.nan
     if np.isfinite(wrong).any() and np.nanmax(wrong) > 0:
         return int(rows[np.nanargmax(wrong)]), True
     far = np.where(np.isfinite(cte), np.abs(cte), -1.0)

@@ -205,12 +205,13 @@ def trade_picture(judged: Judged) -> Picture:
 def _ratio_words(ratio: Bounded) -> str:
     if math.isnan(ratio.value):
         return 'no run leaves the runway, with it or without'
-    times = 'never, so infinitely' if math.isinf(ratio.value) else f'{ratio.value:.3g} times'
-    high = 'no upper bound' if math.isinf(ratio.high) else f'{ratio.high:.3g}'
-    holds = 'shown' if ratio.low >= WANTED_RATIO else 'not shown'
+    rarer = 'no run leaves the runway, where some do without' if math.isinf(ratio.value) else (
+        f'runs leave the runway {ratio.value:.3g} times less often')
+    high = '' if math.isinf(ratio.high) else f' and at most {ratio.high:.3g}'
+    holds = 'proven' if ratio.low >= WANTED_RATIO else 'not proven by these scenes'
     return (
-        f'leaves the runway {times} less often (95 %: {ratio.low:.3g} to {high}); '
-        f'{WANTED_RATIO:g} times is {holds}'
+        f'{rarer}; that it is at least {WANTED_RATIO:g} times rarer is {holds} (with 95 % '
+        f'confidence, at least {ratio.low:.3g}{high} times)'
     )
 
 
