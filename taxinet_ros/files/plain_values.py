@@ -230,7 +230,7 @@ class Section:
         for key in value:
             if known is not None and key not in known:
                 near = near_miss(str(key), known)
-                raise self.wrong(f'unknown key{near}; known: {", ".join(known)}', key)
+                raise self.wrong(f'unknown key; known: {", ".join(known)}{near}', key)
         self._values: dict[str, Any] = value
 
     def __contains__(self, key: str) -> bool:
