@@ -16,7 +16,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.runs.settled import deciding_steps
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
@@ -30,6 +29,7 @@ from taxinet_ros.core.renderer import RunCamera
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
+from taxinet_ros.core.verdict.run_statistics import deciding_steps
 
 Floats = NDArray[np.float64]
 Frame = NDArray[np.uint8]

@@ -8,12 +8,14 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.analysis.report.pictures import PictureView, data_address, view_picture
 from taxinet_ros.analysis.report.viewer import RunView
-from taxinet_ros.analysis.runs.settled import deciding_steps
+from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
+from taxinet_ros.core.verdict.run_statistics import deciding_steps
 
 _BEYOND_EDGE_M = 3.0
 _MORE_STEPS = 5
@@ -83,11 +85,15 @@ def _moment(view: RunView) -> tuple[int, bool]:
     wrong = np.abs(view.curves['cteEstimate'][rows] - cte)
     off = np.abs(view.curves['cte']) > view.half_width_m
     on = int(off.argmax()) if off.any() else len(off)
-    wrong[rows >= deciding_steps(view.curves['cte'][:on], np.asarray(view.t_s))] = np.nan
+    wrong[rows >= deciding_steps(_numbers(view.curves['cte'][:on]), _numbers(view.t_s))] = np.nan
     if np.isfinite(wrong).any() and np.nanmax(wrong) > 0:
         return int(rows[np.nanargmax(wrong)]), True
     far = np.where(np.isfinite(cte), np.abs(cte), -1.0)
     return int(rows[far.argmax()]), False
+
+
+def _numbers(column: Column) -> NDArray[np.float64]:
+    return np.asarray(column, dtype=np.float64)
 
 
 def _side_words(cte_m: float) -> str:
