@@ -339,8 +339,10 @@ def circumstances(scene: Mapping[str, Any]) -> str:
         '' if hour is None else clock_words(hour), scene.get(SKY.key),
         f'rain {_percent(rain)} %' if rain else '',
     ]))
-    named = (str(scene.get(field.key) or '') for field in (PLACE, AIRCRAFT_MODEL, CAMERA))
-    where = ''.join(f'  {word.partition("@")[0]}' for word in named if word not in _USUAL)
+    named = ((key, str(scene.get(key) or '')) for key in (
+        PLACE.key, AIRCRAFT_MODEL.key, CAMERA.key))
+    where = ''.join(f', {key} {name.partition("@")[0]}' for key, name in named
+                    if name not in _USUAL)
     return f'{words}{unusual_words(scene)}{where}'.lstrip(' ,')
 
 

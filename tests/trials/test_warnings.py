@@ -116,7 +116,8 @@ def test_people2_given_rain_of_less_than_a_percent_when_told_then_it_is_not_zero
 
 
 def test_given_an_unusual_aircraft_when_told_then_the_line_names_it_and_the_camera() -> None:
-    assert scene_words(row(0, aircraft='c172p', camera='strut')).endswith('  c172p  strut')
+    told = scene_words(row(0, aircraft='c172p', camera='strut'))
+    assert told.endswith(', aircraft c172p, camera strut')
     assert 'caravan' not in scene_words(row(0))
 
 
@@ -149,7 +150,7 @@ def test_ros15_given_errors_that_overflow_in_degrees_then_the_row_is_finite() ->
 def test_given_what_all_scenes_have_then_lines_of_runs_leave_it_out_and_fit_100_columns() -> None:
     made = row(0, clouds='stratus', rain_fraction=1.0, wind_speed_mps=8.0, camera='strut')
     shared = {'clouds': 'stratus', 'camera': 'strut'}
-    assert circumstances(shared) == 'stratus  strut'
+    assert circumstances(shared) == 'stratus, camera strut'
     line = row_line(made, shared).plain
     assert len(line) <= 100
     assert 'stratus' not in line
