@@ -6,9 +6,11 @@ Also the exit codes of commands and nodes.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import enum
 import signal
 import sys
+from collections.abc import Iterable
 from enum import IntEnum, unique
 
 MAX_CHARACTERS = 2000
@@ -54,6 +56,12 @@ def plain_line(text: str) -> str:
     if text.isprintable():
         return text
     return ''.join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+
+
+def near_miss(word: str, known: Iterable[str]) -> str:
+    """``; did you mean taxinet?`` where a known word is near a misspelt one, else ''."""
+    near = difflib.get_close_matches(word, list(known), 1)
+    return f'; did you mean {near[0]}?' if near else ''
 
 
 def warn_once(text: str) -> None:

@@ -382,10 +382,13 @@ def _alone_words(found: Localisation) -> Iterator[str]:
     known = sum(kinds.values()) - kinds.get(Suffices.UNKNOWN, 0)
     if len(parts) == 2 and known:
         yield (
-            f"Of {known} that are the network's fault, either alone is enough for "
-            f'{kinds.get(Suffices.EITHER, 0)}, only the heading error for '
-            f'{kinds.get(Suffices.HEADING, 0)}, only the cross-track error for '
-            f'{kinds.get(Suffices.CTE, 0)}, and {kinds.get(Suffices.NEITHER, 0)} need both.'
+            f"Of {known} that are the network's fault, "
+            + ', '.join(f'{kinds[kind]} pass {words}' for kind, words in {
+                Suffices.NEITHER: 'only if both estimates are perfect',
+                Suffices.HEADING: 'already with a perfect heading error alone',
+                Suffices.CTE: 'already with a perfect cross-track error alone',
+                Suffices.EITHER: 'if either of the two is perfect',
+            }.items() if kinds.get(kind)) + '.'
         )
 
 

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taxinet_ros.arguments import PATH, takes
+from taxinet_ros.arguments import NONE, PATH, takes
 from taxinet_ros.bag.layout import STORAGE_ID, holds_bag
 from taxinet_ros.bag.run import recording
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.pages import html_table
 from taxinet_ros.trials.past_runs import recorded_campaign
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.trials.rates import ProgramRate
@@ -25,8 +26,10 @@ from taxinet_ros.trials.record.row import RunRow
 if TYPE_CHECKING:
     import pandas as pd
 
+    from taxinet_ros.api.plots import Plot
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Counterexample:
     """A failed run of a campaign.
 
@@ -36,7 +39,7 @@ class Counterexample:
     """
 
     row: RunRow
-    campaign: RecordedCampaign = field(repr=False)
+    campaign: RecordedCampaign
 
     @property
     def run_id(self) -> str:
@@ -66,6 +69,9 @@ class Counterexample:
     def bag(self) -> Path | None:
         """Folder of its bag; None if there is none."""
         return self.campaign.bag(self.row)
+
+    def __repr__(self) -> str:
+        return f'<Counterexample {self.run_id}: {next(iter(self.rho))} {self.headline.words()}>'
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -109,14 +115,57 @@ class Campaign:
     def rates(self) -> Mapping[str, ProgramRate]:
         """Failure rates of the program's own runs: ``failed``, and ``off_runway`` if known.
 
-        ``.rate`` is the fraction with its 95 % interval, or None if no run counts (``.why_not``
-        says why). It is based on runs drawn by the program, not on those chosen by a sampler.
+        ``.value``, ``.low`` and ``.high`` are the fraction and its 95 % interval, None if no run
+        counts (``.why_not`` says why). It is based on runs drawn by the program, not on those
+        chosen by a sampler.
         """
         off = self.recorded.off_runway_rate
         return {'failed': self.recorded.failure_rate} | ({'off_runway': off} if off else {})
 
+    def plot(self) -> Plot:
+        """How often runs fail, by feature of the scene; notebooks show it.
+
+        Raises:
+            UsageError: no run was judged.
+        """
+        from taxinet_ros.analysis.campaign.figures import rates_picture
+        from taxinet_ros.analysis.runs.campaign import read_runs
+        from taxinet_ros.api.plots import Plot
+
+        return Plot(picture=rates_picture([read_runs(self.folder)]))
+
+    @takes(out=NONE | PATH)
+    def report(self, out: str | os.PathLike[str] | None = None) -> Path:
+        """Find the causes of the failures and write a report, as ``taxinet analyze`` does.
+
+        Args:
+            out: folder of the report; None: ``analysis`` in the campaign's folder.
+
+        Returns:
+            The page.
+
+        Raises:
+            UsageError: no run was judged, or the folder contains something else.
+        """
+        from taxinet_ros.analysis.campaign.findings import analyse
+        from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, write_analysis
+        from taxinet_ros.analysis.campaign.report import campaign_report
+        from taxinet_ros.analysis.runs.campaign import read_runs
+
+        folder = self.folder / 'analysis' if out is None else Path(out)
+        check_folder(folder)
+        findings = analyse(read_runs(self.folder))
+        write_analysis(findings, campaign_report(findings), folder)
+        return folder / PAGE_NAME
+
     def __repr__(self) -> str:
-        return f'<Campaign {self.folder}: {len(self.recorded.rows)} runs>'
+        runs, failed = len(self.recorded.rows), len(self.recorded.counterexamples)
+        return f'<Campaign {self.folder}: {runs} runs, {failed} failed>'
+
+    def _repr_html_(self) -> str:
+        facts = {name: self.facts[name] for name in ('program', 'perception', 'sampler')
+                 if self.facts.get(name)}
+        return html_table(repr(self)[1:-1], {**facts, **self.rates})
 
 
 @takes(path=PATH)

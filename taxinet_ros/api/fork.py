@@ -57,7 +57,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.registry import KMWH
 
 _GAIN = 'steering.'
@@ -262,7 +262,8 @@ def _changed(before: Scenario, scene: Mapping[str, Any]) -> Scenario:
     for key in values:
         if key not in BY_KEY:
             raise UsageError(
-                f'fork: unknown key {key!r}; known: {", ".join(HUMAN_KEYS)}, steering.<gain>'
+                f'fork: unknown key {key!r}{near_miss(key, HUMAN_KEYS)}; known: '
+                f'{", ".join(HUMAN_KEYS)}, steering.<gain>'
             )
     after = dataclasses.replace(before, **{
         BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()

@@ -90,12 +90,14 @@ from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, ou
 from taxinet_ros.core.verdict.run_statistics import RunStatistics
 from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.files.pages import html_table
 from taxinet_ros.registry import KMWH
 from taxinet_ros.trials.requirements import DEFAULT_SPECS, read_specs
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from taxinet_ros.api.plots import Plot
     from taxinet_ros.core.fork import Fork
 
 CALLER = 4
@@ -282,6 +284,18 @@ class Run:
         )
         return folder
 
+    def plot(self) -> Plot:
+        """True and estimated cross-track and heading error over time; notebooks show it."""
+        from taxinet_ros.api.plots import run_plot
+
+        return run_plot(self._trace, self.scenario.line.half_width_m)
+
+    def _repr_html_(self) -> str:
+        words = {name: interval.words() for name, interval in self.rho.items()}
+        title = f'Run: {self.outcome}, {len(self.steps)} steps'
+        return html_table(title, {'perception': self.perception, **words}) + (
+            self.scenario._repr_html_())
+
     def __repr__(self) -> str:
         known = ', '.join(f'{name}: {interval.words()}' for name, interval in self.rho.items())
         return f'<Run {self.outcome}, {len(self.steps)} steps, {self.detail or known}>'
@@ -459,7 +473,7 @@ def render(
     scenario: Scenario, pose: AircraftState | tuple[float, float, float] | None = None, *,
     t_s: float = 0.0,
 ) -> Frame:
-    """Render a scene as seen by the wing camera.
+    """Render a scene as seen by its camera.
 
     Args:
         scenario: light, weather and runway; also the start pose if ``pose`` is None, which gives

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import datetime
 import os
+import sys
+import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from taxinet_ros.analysis.search.learned import write_learned
@@ -31,6 +34,7 @@ from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import KMWH
 from taxinet_ros.samplers.sampler import LAG
@@ -41,6 +45,7 @@ from taxinet_ros.trials.engine import Engine, run_search
 from taxinet_ros.trials.loop_worker import loop_worker_command
 from taxinet_ros.trials.options import LOOP, make_options
 from taxinet_ros.trials.record.facts import recorded_system
+from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.requirements import DEFAULT_SPECS
 from taxinet_ros.trials.search import Search, make_estimate, make_search
 from taxinet_ros.trials.worker_pool import WorkerPool
@@ -52,6 +57,7 @@ from taxinet_ros.trials.worker_pool import WorkerPool
     rates=TEXTS, latency=TEXTS, world=WORD, until=NONE | WORD, workers=FROM_1,
     cluster=NONE | WORD, lag=FROM_1, out=NONE | PATH, resume=FLAG, odd=NONE | PATH,
     objective=NONE | WORD,
+    progress=NONE | FLAG,
 )
 @says_parameters
 def falsify(
@@ -64,6 +70,7 @@ def falsify(
     workers: int = 1, cluster: str | None = None, lag: int = LAG,
     out: str | os.PathLike[str] | None = None, resume: bool = False,
     odd: str | os.PathLike[str] | None = None, objective: str | None = None,
+    progress: bool | None = None,
 ) -> Campaign:
     """Search a Scenic program for scenes that fail, as ``taxinet falsify`` does, without ROS.
 
@@ -100,6 +107,8 @@ def falsify(
             name of a shipped one, or a YAML file.
         objective: what the sampler minimises instead of the first of ``specs``: a rulebook, the
             most important first, such as ``no_collision > on_runway, usable``.
+        progress: whether to say on one line of standard error how far it is; None: in a terminal or
+            a notebook.
 
     Returns:
         The campaign: rows, counterexamples, rates.
@@ -121,7 +130,7 @@ def falsify(
         sampler_options=_texts(sampler_options), workers=workers, until=until, lag=lag,
         cluster=cluster, odd=None if odd is None else os.fspath(odd),
         objective=objective,
-    ), participants=())
+    ), participants=(), on_row=_progress(progress, lambda: search))
     with _opened(search) as led:
         _execute(search, led)
         write_learned(search)
@@ -133,6 +142,7 @@ def falsify(
     program=PATH, down_to=FINITE, runs=FROM_1, islands=FROM_1, seed=FROM_0,
     perception=WORD, controller=WORD, settings=NONE | MAPPING, bounds=TEXTS, rates=TEXTS,
     latency=TEXTS, world=WORD, workers=FROM_1, out=NONE | PATH, resume=FLAG,
+    progress=NONE | FLAG,
 )
 @says_parameters
 def estimate(
@@ -142,6 +152,7 @@ def estimate(
     settings: Mapping[str, object] | None = None, bounds: str | Sequence[str] = (),
     rates: str | Sequence[str] = (), latency: str | Sequence[str] = (), world: str = KMWH,
     workers: int = 1, out: str | os.PathLike[str] | None = None, resume: bool = False,
+    progress: bool | None = None,
 ) -> RareEstimate:
     """Estimate the probability that a scene of a program fails, as ``taxinet estimate`` does.
 
@@ -162,6 +173,7 @@ def estimate(
         workers: number of processes; results do not depend on it.
         out: folder of the campaign, new or empty; None for a new one below ``bags/``.
         resume: continue the estimate in ``out``.
+        progress: as for ``tx.falsify``.
 
     Returns:
         ``.low`` and ``.high`` (95 %), ``.state`` (``estimated``, or ``unclear`` for a wide
@@ -183,7 +195,7 @@ def estimate(
     search = Engine(make_estimate(
         dataclasses.replace(options, bags=False, engine=LOOP),
         floor=down_to, islands=islands, workers=workers,
-    ), participants=())
+    ), participants=(), on_row=_progress(progress, lambda: search))
     with _opened(search) as led:
         _execute(search, led)
         if words := unfinished_words(search):
@@ -192,6 +204,24 @@ def estimate(
         write_estimate(found, search)
     exit_code(search.summary)
     return found
+
+
+def _progress(asked: bool | None, search: Callable[[], Engine[Search]]) -> Callable[[RunRow], None]:
+    """A function to call with each row, which rewrites one line, also in a notebook."""
+    if not (sys.stderr.isatty() or 'ipykernel' in sys.modules if asked is None else asked):
+        return lambda row: None
+    began, ended = time.monotonic(), 0
+
+    def show(row: RunRow) -> None:
+        nonlocal ended
+        ended += 1
+        found, runs = search().summary, search().options.runs
+        left = round((time.monotonic() - began) / ended * (runs - len(found)))
+        line = f'{len(found)} of {runs} runs, {found.outcomes[Outcome.FAIL]} failed, about '
+        line += f'{datetime.timedelta(seconds=left)} left '
+        print(f'\r{line}', end='' if len(found) < runs else '\n', file=sys.stderr, flush=True)
+
+    return show
 
 
 @contextlib.contextmanager

@@ -241,6 +241,20 @@ def _check_words(name: str, values: Mapping[str, str]) -> None:
             raise UsageError(f'bag metadata {name!r}: {key!r} is {value!r}; give text for both')
 
 
+def check_room(folder: Path, wanted_bytes: int) -> None:
+    """Check that there is enough room for bags on the disk of an existing folder.
+
+    Raises:
+        UsageError: there is less.
+    """
+    free = shutil.disk_usage(folder).free
+    if free < wanted_bytes:
+        raise UsageError(
+            f'{folder}: {free / 1e9:.3f} GB free on the disk, {wanted_bytes / 1e9:.3f} GB wanted; '
+            'make room or record elsewhere'
+        )
+
+
 def _make_folder(folder: Path, min_free_bytes: int, make_parents: bool) -> None:
     if folder.exists() or folder.is_symlink():
         text = 'already exists; nothing recorded is overwritten, name another folder'
@@ -248,12 +262,7 @@ def _make_folder(folder: Path, min_free_bytes: int, make_parents: bool) -> None:
     try:
         if make_parents:
             folder.parent.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(folder.parent).free
-        if free < min_free_bytes:
-            raise UsageError(
-                f'{folder.parent}: {free / 1e9:.3f} GB free on the disk, '
-                f'{min_free_bytes / 1e9:.3f} GB wanted; make room or record elsewhere'
-            )
+        check_room(folder.parent, min_free_bytes)
         folder.mkdir()
     except OSError as error:
         raise _refused(folder, error) from error

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
 
+from taxinet_ros.cli.help import PagedCommand
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.outputs import check_output
 
 _SUFFIX = re.compile(r'\.\w+')
 
 
-class CheckedCommand(TyperCommand):
+class CheckedCommand(PagedCommand):
     """A command that begins only if its numbers are finite and its output replaces no record."""
 
     def invoke(self, ctx: Any) -> Any:

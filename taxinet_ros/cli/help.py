@@ -1,8 +1,11 @@
-"""What the help shows beyond a command's own text: :data:`EXAMPLES`, lines to copy for each."""
+"""What help shows: :data:`EXAMPLES`, lines to copy, and of many options a first page."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import typer
+from typer.core import TyperCommand
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     'demo': ('taxinet demo',),
@@ -112,6 +115,41 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 """Lines to copy, by command; the tests parse each."""
 
 _VERBATIM = '\b'
+LATER = 'later'
+"""Help panel (``typer.Option(rich_help_panel)``) of options that a first page leaves out."""
+_FIRST_PAGE = 20
+_ALL = '--help-all'
+
+
+class PagedCommand(TyperCommand):
+    """A command whose help shows at most a page of its options; all of them with --help-all."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, unless they ask for the whole help.
+
+        Raises:
+            typer.Exit: the help was printed.
+        """
+        if _ALL in args and self._later():
+            ctx.meta[_ALL] = True
+            print(ctx.get_help())
+            raise typer.Exit
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options of the first page, or all."""
+        later = [] if ctx.meta.get(_ALL) else self._later()
+        for one in later:
+            one.hidden = True
+        super().format_options(ctx, formatter)
+        for one in later:
+            one.hidden = False
+        if later:
+            formatter.write_text(f'{len(later)} more options: {ctx.command_path} {_ALL}')
+
+    def _later(self) -> list[Any]:
+        later = [one for one in self.params if getattr(one, 'rich_help_panel', None) == LATER]
+        return later if len(self.params) > _FIRST_PAGE else []
 
 
 def command_group(help_text: str) -> typer.Typer:

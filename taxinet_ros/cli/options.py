@@ -24,6 +24,7 @@ from taxinet_ros.cli.completion import (
     complete_world,
     one_of,
 )
+from taxinet_ros.cli.help import LATER
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -152,7 +153,10 @@ BagArgument = Annotated[
 ]
 RunOption = Annotated[
     str | None,
-    typer.Option('--run', metavar='RUN_ID', help='which run, if the bag holds several'),
+    typer.Option(
+        '--run', rich_help_panel=LATER, metavar='RUN_ID',
+        help='which run, if the bag holds several',
+    ),
 ]
 RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw and run')]
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
@@ -176,7 +180,7 @@ PerceptionOption = Annotated[
 PerceptionCommandOption = Annotated[
     str | None,
     typer.Option(
-        '--perception-cmd', metavar='COMMAND',
+        '--perception-cmd', rich_help_panel=LATER, metavar='COMMAND',
         help="command of your own node, e.g. 'ros2 run my_pkg my_node', started in every graph",
     ),
 ]
@@ -190,12 +194,15 @@ ControllerOption = Annotated[
 ]
 ControllerCommandOption = Annotated[
     str | None,
-    typer.Option('--controller-cmd', metavar='COMMAND', help='the same for the controller'),
+    typer.Option(
+        '--controller-cmd', rich_help_panel=LATER, metavar='COMMAND',
+        help='the same for the controller',
+    ),
 ]
 MonitorOption = Annotated[
     str | None,
     typer.Option(
-        '--monitor', metavar='MONITOR',
+        '--monitor', rich_help_panel=LATER, metavar='MONITOR',
         help='judge each estimate as it comes: original, taxinet, a file of `taxinet assure '
         'calibrate`, or a function, FILE.py:NAME',
         autocompletion=one_of('original', 'taxinet'),
@@ -204,7 +211,7 @@ MonitorOption = Annotated[
 FallbackOption = Annotated[
     str | None,
     typer.Option(
-        '--fallback', metavar='WHAT',
+        '--fallback', rich_help_panel=LATER, metavar='WHAT',
         help="after the monitor's first alarm: stop (default), slow, second:PERCEPTION, or watch, "
         'which changes nothing',
         autocompletion=complete_fallback,
@@ -213,7 +220,7 @@ FallbackOption = Annotated[
 WorldOption = Annotated[
     str,
     typer.Option(
-        metavar='NAME',
+        rich_help_panel=LATER, metavar='NAME',
         help='where runs take place: kmwh, the simulated airport, or a name that a package adds',
         autocompletion=complete_world,
     ),
@@ -267,7 +274,7 @@ StopOnOption = Annotated[
 BoundOption = Annotated[
     list[str] | None,
     typer.Option(
-        '--bound', metavar='SIGNAL=LOW:HIGH',
+        '--bound', rich_help_panel=LATER, metavar='SIGNAL=LOW:HIGH',
         help='assume that a signal stays in this range, e.g. cte=-25:25 [m], so that verdicts come '
         'earlier; dropped in a run that leaves the range; repeatable',
         autocompletion=complete_signal,
@@ -276,7 +283,7 @@ BoundOption = Annotated[
 RateOption = Annotated[
     list[str] | None,
     typer.Option(
-        '--rate', metavar='SIGNAL=CHANGE',
+        '--rate', rich_help_panel=LATER, metavar='SIGNAL=CHANGE',
         help='assume that a signal changes by no more than this per second, e.g. cte=3; '
         'repeatable',
         autocompletion=complete_signal,
@@ -285,7 +292,7 @@ RateOption = Annotated[
 LatencyOption = Annotated[
     list[str] | None,
     typer.Option(
-        metavar='NAME=LATENCY',
+        rich_help_panel=LATER, metavar='NAME=LATENCY',
         help='latency of perception= or controller=: SECONDS, uniform(LOW,HIGH) or '
         'normal(MEAN,SD), drawn at each step, rounded up to 0.1 s; repeatable',
         autocompletion=one_of('perception=', 'controller='),
@@ -295,6 +302,7 @@ FreeOption = Annotated[
     bool,
     typer.Option(
         '--free',
+        rich_help_panel=LATER,
         help='simulated time follows the wall clock and waits for no node; every node is a '
         'process; shows timing problems of the loop; results are not reproducible',
     ),
@@ -302,12 +310,16 @@ FreeOption = Annotated[
 FactorOption = Annotated[
     str | None,
     typer.Option(
-        '--real-time-factor', metavar='R',
+        '--real-time-factor', rich_help_panel=LATER, metavar='R',
         help='with --free: simulated seconds per wall-clock second, 0.1 to 100 (default 1), or max',
     ),
 ]
 ProcessesOption = Annotated[
-    bool, typer.Option('--processes', help='run every node in its own process; same results')
+    bool,
+    typer.Option(
+        '--processes', rich_help_panel=LATER,
+        help='run every node in its own process; same results',
+    ),
 ]
 EngineOption = Annotated[
     str,
@@ -321,7 +333,7 @@ EngineOption = Annotated[
 AuditOption = Annotated[
     str | None,
     typer.Option(
-        metavar='PERCENT',
+        rich_help_panel=LATER, metavar='PERCENT',
         help='with --engine loop: share of the runs to repeat on the graph; a difference ends the '
         'command (default: 1 %)',
     ),
@@ -367,15 +379,17 @@ SamplerOption = Annotated[
 SamplerSettingOption = Annotated[
     list[str] | None,
     typer.Option(
-        '--sampler-option', metavar='KEY=VALUE', help='option of the sampler; repeatable',
+        '--sampler-option', rich_help_panel=LATER, metavar='KEY=VALUE',
+        help='option of the sampler; repeatable',
         autocompletion=complete_sampler_option,
     ),
 ]
 OddOption = Annotated[
     str | None,
     typer.Option(
-        metavar='NAME|FILE.yaml', help='with --sampler coverage: cover the cells of this '
-        'operational design domain (docs/odd.md), not those of the program',
+        rich_help_panel=LATER, metavar='NAME|FILE.yaml',
+        help='with --sampler coverage: cover the cells of this operational design domain '
+        '(docs/odd.md), not those of the program',
         autocompletion=complete_odd,
     ),
 ]
@@ -390,15 +404,15 @@ WorkersOption = Annotated[int, typer.Option(help='graphs run in parallel; same r
 LagOption = Annotated[
     int,
     typer.Option(
-        metavar='RUNS',
-        help='runs in flight at most: each scene is chosen by the results of all but the last '
-        'RUNS - 1; another lag is another search, whatever its workers',
+        rich_help_panel=LATER, metavar='RUNS',
+        help='how many runs may be under way while the next scene is chosen; changing it changes '
+        'which scenes are drawn',
     ),
 ]
 ClusterOption = Annotated[
     str | None,
     typer.Option(
-        metavar='WHERE',
+        rich_help_panel=LATER, metavar='WHERE',
         help='make the runs on a Dask cluster, with the same results: tcp://HOST:PORT or '
         'tls://HOST:PORT of its scheduler, the FILE of dask scheduler --scheduler-file, or local:N',
     ),
@@ -470,7 +484,11 @@ ProcessesCountOption = Annotated[
     int, typer.Option('--workers', help='worker processes; same results')
 ]
 ExitZeroOption = Annotated[
-    bool, typer.Option('--exit-zero', help='exit with 0 also if runs violate their requirements')
+    bool,
+    typer.Option(
+        '--exit-zero', rich_help_panel=LATER,
+        help='exit with 0 also if runs violate their requirements',
+    ),
 ]
 JsonSummaryOption = Annotated[
     bool,

@@ -16,7 +16,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.files.plain_values import Section, load_json
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_text
 
@@ -116,6 +116,7 @@ class Catalogue(Generic[_T]):
         raise UsageError(
             f'scenario: {self.key} is {text!r:.60}, not one of {", ".join(self.shipped)}, '
             f'nor a YAML file of {self._one} (in Python: load_{self.key})'
+            f'{near_miss(text, self.shipped)}'
         )
 
     def typed(self, text: str) -> _T:

@@ -41,8 +41,8 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.core.user_code import contained, find_user_code, names_user_code
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.registry import CAMERAS, find, known
+from taxinet_ros.errors import InfraError, InfraKind, UsageError, near_miss
+from taxinet_ros.registry import CAMERAS, find, known, names
 
 _T = TypeVar('_T')
 _USUAL = Scenario()
@@ -253,8 +253,8 @@ def find_renderer(name: str) -> ChosenRenderer | None:
         extension = find(CAMERAS, name)
         if extension is None:
             raise UsageError(
-                f'camera: {name!r} is unknown; known: {known(CAMERAS, "FILE.py:NAME")}; the '
-                "scenario's key camera mounts one of ours"
+                f'camera: {name!r} is unknown{near_miss(name, names(CAMERAS))}; known: '
+                f"{known(CAMERAS, 'FILE.py:NAME')}; the scenario's key camera mounts one of ours"
             )
         made, words, failure = extension.load(), extension.words, extension.failure
         fingerprint, origin = '', ''

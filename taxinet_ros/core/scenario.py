@@ -8,6 +8,7 @@ words of the values are in :mod:`taxinet_ros.core.scenario_fields`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -58,7 +59,8 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
 from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
+from taxinet_ros.files.pages import html_table
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,7 +68,7 @@ class Scenario:
     """Initial condition and environment of one run, validated on construction.
 
     >>> import taxinet_ros as tx
-    >>> tx.Scenario(cross_track_m=3.0, time_of_day_s=9.5 * 3600).clouds
+    >>> tx.Scenario(cross_track_m=3.0, time_of_day_h=9.5, heading_deg=-10).clouds
     'clear'
     >>> tx.Scenario(rain_fraction=2.0)
     Traceback (most recent call last):
@@ -346,20 +348,59 @@ class Scenario:
         return {**values, CAMERA.attribute: self.camera_model.text}
 
     def __repr__(self) -> str:
-        """As it is recorded: digests of scenes without offsets are as they were before these."""
+        """What differs from the defaults, in SI units."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
+                  if getattr(self, field.name) != field.default}
+        return f'Scenario({", ".join(f"{name}={value!r}" for name, value in values.items())})'
+
+    def _repr_html_(self) -> str:
+        """The same as a table, in the units of the command line."""
+        usual = Scenario().to_human()
+        return html_table('Scenario', {
+            BY_KEY[key].title: BY_KEY[key].value_words(value)
+            for key, value in self.to_human().items() if value != usual[key]
+        })
+
+    @property
+    def recorded_text(self) -> str:
+        """All values as recorded: that of scenes without offsets is as it was before these."""
         values = ', '.join(f'{name}={value!r}' for name, value in self.recorded().items())
-        return f'{type(self).__name__}({values})'
+        return f'Scenario({values})'
 
     @property
     def digest(self) -> str:
         """Key of this scenario in records of earlier runs: equal for equal scenarios only."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()[:32]
+        return hashlib.sha256(self.recorded_text.encode()).hexdigest()[:32]
 
     def to_human(self) -> dict[str, Any]:
         """The scenario in user-facing units; the inverse of :func:`scenario_from_human`."""
         return {
             field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
+
+
+_ATTRIBUTES = frozenset(field.name for field in dataclasses.fields(Scenario))
+_init = Scenario.__init__
+
+
+@functools.wraps(_init)
+def _init_in_any_units(self: Scenario, **values: Any) -> None:
+    """Take values also by the keys, and in the units, of the command line."""
+    given = {name: value for name, value in values.items() if name in _ATTRIBUTES}
+    for key, value in by_key({
+        name: value for name, value in values.items() if name not in _ATTRIBUTES
+    }).items():
+        field = BY_KEY.get(key)
+        if field is None:
+            near = near_miss(key, (*_ATTRIBUTES, *BY_KEY))
+            raise UsageError(f'scenario: unknown key {key!r}{near}; known: {", ".join(HUMAN_KEYS)}')
+        if field.attribute in given:
+            raise UsageError(f'scenario: {key} is given twice, also as {field.attribute}')
+        given[field.attribute] = field.from_human(value)
+    _init(self, **given)
+
+
+Scenario.__init__ = _init_in_any_units  # type: ignore[method-assign]
 
 
 def check_camera_height(camera: CameraModel, model: AircraftModel) -> None:
@@ -392,7 +433,10 @@ def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     values = by_key(values)
     unknown = [key for key in values if key not in BY_KEY]
     if unknown:
-        raise UsageError(f'scenario: unknown key {unknown[0]!r}; known: {", ".join(HUMAN_KEYS)}')
+        raise UsageError(
+            f'scenario: unknown key {unknown[0]!r}{near_miss(unknown[0], BY_KEY)}; '
+            f'known: {", ".join(HUMAN_KEYS)}'
+        )
     scenario = Scenario(**{
         BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()
     })

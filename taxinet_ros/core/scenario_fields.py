@@ -33,7 +33,7 @@ from taxinet_ros.core.rig.camera_model import MOST_OFFSET_DEG, MOST_OFFSET_M
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.core.traffic.traffic_file import OTHERS
 from taxinet_ros.core.units import typed_number
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 """The six cloud kinds, from clear sky to dark stratus, in X-Plane 11's order."""
@@ -202,8 +202,10 @@ class ScenarioField:
         if self.catalogue is not None:
             return self.catalogue.find(value).text
         if self.words and value not in self.words:
-            known = ', '.join(self.words)
-            raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
+            raise UsageError(
+                f'scenario: {self.key} is {value!r}, not one of {", ".join(self.words)}'
+                f'{near_miss(value, self.words)}'
+            )
         if self.kind is Kind.DATE:
             try:
                 return datetime.date.fromisoformat(value).isoformat()
@@ -281,12 +283,12 @@ def unusual_words(scene: Mapping[str, Any]) -> str:
     """What pushes the aircraft, what fails, and who is there: ``', wind 8.0 m/s, …'``.
 
     Args:
-        scene: in human units, by key.
+        scene: in human units, by key; missing ones are left out.
     """
     return ''.join(
-        f', {field.title} {field.value_words(scene[field.key])}'
+        f', {field.title} {field.value_words(scene[field.key]).partition("@")[0]}'.replace('_', ' ')
         for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, *CAMERA_OFFSETS, DATAREFS)
-        if scene[field.key] not in (None, '', field.to_human(field.absent))
+        if scene.get(field.key) not in (None, '', field.to_human(field.absent))
     )
 
 

@@ -30,8 +30,8 @@ from taxinet_ros.core.renderer import OURS, ChosenRenderer, ForeignCode, RunCame
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS
 from taxinet_ros.core.types import AircraftState, TaxiCommand
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, origin_words
+from taxinet_ros.errors import InfraError, InfraKind, UsageError, near_miss
+from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, names, origin_words
 
 _T = TypeVar('_T')
 _START_M = 1.0
@@ -276,7 +276,9 @@ def _find_alone(name: str) -> ChosenWorld:
     """The world of a name, with its own camera."""
     extension = find(WORLDS, name)
     if extension is None:
-        raise UsageError(f'world: {name!r} is unknown; known: {known(WORLDS)}')
+        raise UsageError(
+            f'world: {name!r} is unknown{near_miss(name, names(WORLDS))}; known: {known(WORLDS)}'
+        )
     made: Any = extension.load()
     if name == KMWH:
         return ChosenWorld(name=name, fingerprint='', make=made)

@@ -1,10 +1,11 @@
-"""List of the HTML pages in a campaign's folder."""
+"""List of the HTML pages in a campaign's folder, and the tables that notebooks show."""
 
 from __future__ import annotations
 
 import contextlib
 import html
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import quote
 
@@ -37,6 +38,16 @@ def write_index(folder: Path) -> None:
         write_atomically(
             index, f'{_HEAD}\n<title>{title}</title>\n<h1>{title}</h1>\n<ul>\n{items}</ul>\n'
         )
+
+
+def html_table(title: str, rows: Mapping[str, object]) -> str:
+    """A small table of names and values, of an object that a notebook shows."""
+    lines = ''.join(
+        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
+        f'<td style="text-align:left">{html.escape(str(value))}</td></tr>'
+        for name, value in rows.items()
+    )
+    return f'<table><caption>{html.escape(title)}</caption>{lines}</table>'
 
 
 def _begin(page: Path) -> str:

@@ -19,7 +19,7 @@ from typing import Any, TypeGuard, cast, overload
 
 import yaml
 
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.files.reading import read_file
 
 MAX_DEPTH = 100
@@ -229,7 +229,8 @@ class Section:
                 raise self.wrong(f"expected words as keys, got {shown(key)}; put it in '…' quotes")
         for key in value:
             if known is not None and key not in known:
-                raise self.wrong(f'unknown key; known: {", ".join(known)}', key)
+                near = near_miss(str(key), known)
+                raise self.wrong(f'unknown key; known: {", ".join(known)}{near}', key)
         self._values: dict[str, Any] = value
 
     def __contains__(self, key: str) -> bool:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from taxinet_ros import registry
 from taxinet_ros.arguments import can_be_called
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.registry import Extension, Extensions
 from taxinet_ros.samplers import space_filling
 from taxinet_ros.samplers.active_search import ActiveSearch
@@ -408,7 +408,10 @@ def _variant(
     """The sampler with the rule that its options name, and the other options."""
     kind, given = SAMPLERS.get(name), dict(options)
     if kind is None:
-        raise UsageError(f'sampler {name!r} is unknown; known: {registry.known(registry.SAMPLERS)}')
+        near = near_miss(name, registry.names(registry.SAMPLERS))
+        raise UsageError(
+            f'sampler {name!r} is unknown{near}; known: {registry.known(registry.SAMPLERS)}'
+        )
     if not kind.rules or 'rule' not in given:
         return kind, given
     rule = given.pop('rule')

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import ast
 import contextlib
-import difflib
 import functools
 import importlib
 import sys
 import tokenize
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -32,6 +31,7 @@ from scenic.core.vectors import Vector
 from scenic.syntax import ast as syntax
 from scenic.syntax import compiler, translator, veneer
 
+from taxinet_ros.errors import near_miss
 from taxinet_ros.scenes.programs import MODEL, SUFFIX, is_of_program
 from taxinet_ros.scenes.values import (
     OVERRIDES,
@@ -332,7 +332,8 @@ def _check_names(made: _Made) -> None:
         known = sorted({*Object._defaults, *kind._defaults})
         raise ProgramError(
             f'with {name}: no property of {kind.__name__}, so it has no effect'
-            f'{_meant(name, known)}; one that the program reads is declared in a class', made.place,
+            f'{near_miss(name, known)}; one that the program reads is declared in a class',
+            made.place,
         )
 
 
@@ -427,12 +428,6 @@ def _checking_mutate(mutate: Callable[..., Any]) -> Callable[..., Any]:
 
 def _sentence(word: str, why: str) -> str:
     return f'{word} has no effect here: {why}; leave it out'
-
-
-def _meant(name: str, known: Sequence[str]) -> str:
-    """What a misspelt name may have been meant to be, as the end of a sentence; else ''."""
-    close = difflib.get_close_matches(name, known, 1)
-    return f'; did you mean {close[0]}?' if close else ''
 
 
 def program_frame() -> FrameType | None:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import taxinet_ros
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.files.atomic import make_folder, write_atomically
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 
@@ -99,8 +99,8 @@ def find_program(word_or_path: str | Path) -> Path:
     if path.is_file():
         raise UsageError(f'program {text!r}: not a {SUFFIX} file')
     raise UsageError(
-        f'program {text!r}: no such file, and no shipped program; known: '
-        f'{", ".join(known_programs())}'
+        f'program {text!r}: no such file, and no shipped program'
+        f'{near_miss(text, known_programs())}; known: {", ".join(known_programs())}'
     )
 
 

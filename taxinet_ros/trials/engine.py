@@ -20,6 +20,8 @@ from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeVar
 
+from taxinet_ros.bag.run.run_bag import MIN_FREE_BYTES
+from taxinet_ros.bag.writer import check_room
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -169,6 +171,9 @@ class Engine(Generic[P_co]):
                 campaign.
         """
         self.book.check_folder()
+        if self.options.bag_folder is not None and not self.options.standing_graph:
+            above = self.options.out.absolute()
+            check_room(next(one for one in (above, *above.parents) if one.is_dir()), MIN_FREE_BYTES)
         with contextlib.ExitStack() as opened:
             opened.enter_context(self.proposer.source)
             facts = self.proposer.prepare()

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -138,9 +137,15 @@ class CampaignOptions(System):
         parts = None if self.standing_graph else parts_of(self.controller)
         strange = [] if parts is None else monitor_doubts(parts.monitor, self.perception)
         strange += covering_doubts(first.aircraft_model, first.camera_model)
-        strange += network_doubts(self.perception, chain((first,), more))
+        scenes = (first, *more)
+        strange += network_doubts(self.perception, scenes)
+        values, differing = [scene.to_human() for scene in scenes], drawn()
         return dataclasses.replace(
-            found, warnings=(*found.warnings, *doubts, *unseen, *strange, *told)
+            found, warnings=(*found.warnings, *doubts, *unseen, *strange, *told),
+            shared={
+                key: value for key, value in values[0].items()
+                if key not in differing and all(one[key] == value for one in values)
+            },
         )
 
     def system(self, controller_sha256: str, world_sha256: str) -> System:

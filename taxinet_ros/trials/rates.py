@@ -162,6 +162,28 @@ class ProgramRate:
             return None
         return rate(self.drawn_hits, self.drawn, anytime=self.anytime)
 
+    @property
+    def value(self) -> float | None:
+        """The rate, or None."""
+        return self.rate.rate if self.rate else None
+
+    @property
+    def low(self) -> float | None:
+        """Lower end of its 95 % interval, or None."""
+        return self.rate.low if self.rate else None
+
+    @property
+    def high(self) -> float | None:
+        """Upper end of its 95 % interval, or None."""
+        return self.rate.high if self.rate else None
+
+    def __repr__(self) -> str:
+        words = f'{self.rate.words()} of {self.drawn:,} runs' if self.rate else self.why_not
+        return f'<ProgramRate {words}>'
+
+    def __str__(self) -> str:
+        return repr(self)[len('<ProgramRate '):-1]
+
     def bounds(self, tail: float) -> tuple[float, float]:
         """Ends of the interval with tail probability ``tail`` at each end."""
         ends = anytime_bounds if self.anytime else share_bounds

@@ -54,7 +54,7 @@ def live_words(search: Engine[Any], minutes: float, before: int) -> list[str]:
     worst = seen.worst
     least = math.nan if worst is None or worst.headline is None else worst.headline.upper
     pace = (len(seen) - before) / max(minutes, 1e-3)
-    words = [f'{seen.outcomes[Outcome.FAIL]} failed', f'{pace:.1f}/min']
+    words = [f'{seen.outcomes[Outcome.FAIL]} failed', f'{pace:.3g}/min']
     if pace > 0:
         left = search.options.runs - len(seen)
         words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
@@ -64,7 +64,7 @@ def live_words(search: Engine[Any], minutes: float, before: int) -> list[str]:
     planned = search.first_planned or range(0)
     found = failure_rate(seen.verdicts, range(planned.start, 0, planned.step)).rate
     if found is not None:
-        words.append(f'failing {found.words()}')
+        words.append(f'failing {found.rate:.0%} ({found.low:.0%}-{found.high:.0%})')
     if search.interrupted:
         words.append('ending the current runs')
     return words

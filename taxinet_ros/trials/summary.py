@@ -9,6 +9,7 @@ from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import PurePath
+from types import MappingProxyType
 from typing import Any
 
 from rich.text import Text
@@ -19,7 +20,17 @@ from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, DEFAULT_CAMERA
-from taxinet_ros.core.scenario_fields import along_words, clock_words, unusual_words
+from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
+    CAMERA,
+    PLACE,
+    RAIN,
+    SKY,
+    TIME_OF_DAY,
+    along_words,
+    clock_words,
+    unusual_words,
+)
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.plain_values import plain
@@ -37,6 +48,9 @@ from taxinet_ros.trials.record.row import RunRow
 
 _MOST_NAMED = 5
 """Maximum number of runs named in one line."""
+_MOST_COLUMNS = 100
+_NOTES_END = 45
+_COLUMNS = '  run                    farthest              start left  nose   along  time, sky'
 _USUAL = ('', DEFAULT_PLACE, DEFAULT_AIRCRAFT, DEFAULT_CAMERA)
 
 ON_STANDING_GRAPH = 'on the graph that runs'
@@ -260,35 +274,49 @@ def requirement_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:
     return [*lines, *(Text(f'warning: {line}', style='yellow') for line in check.warnings)]
 
 
-def row_line(row: RunRow) -> Text:
-    """One run: outcome, robustness, worst deviation, speed, scene."""
+def row_headings(check: SpecCheck, runs: int, *, columns: bool = True) -> list[Text]:
+    """Lines above those of runs: what all scenes have, and the names of the columns."""
+    words = circumstances(check.shared)
+    lines = [f'{"scene" if runs == 1 else "every scene"}: {words}'] if words else []
+    return [Text(line, style='dim') for line in (*lines, *([_COLUMNS] if columns else []))]
+
+
+def row_line(row: RunRow, shared: Mapping[str, Any] = MappingProxyType({})) -> Text:
+    """One run in 100 columns; a longer reason why it was not judged is not cut.
+
+    Args:
+        row: the run.
+        shared: scenario values that all scenes have, which are not repeated.
+    """
     text = Text(f'{row.index:5d}  ')
-    text.append(f'{row.outcome:<5}', style=_STYLES[row.outcome])
-    if row.outcome.judged:
-        text.append(f' {rho_words(row, 7)}  |CTE| <= {row.max_cross_track_m:4.1f} m  ')
-        text.append('off runway  ' if row.left_runway else ' ' * 12, style='red')
-        text.append(f'{row.real_time_factor:5.1f}x  ')
-        if row.stopped_early:
-            text.append(f'stopped at {row.stopped_s:.1f} s  ')
-        if row.unusable_share > MOST_UNUSABLE_SHARE:
-            text.append(
-                f'{row.unusable_estimates} of {row.steps} estimates unusable  ', style='yellow'
-            )
-        text.append(f'{free_run_line(row.free)}  ' if row.free else '')
-        text.append(f'{_sigma_words(row.sigma)}  ' if row.sigma else '')
-    else:
+    text.append(f'{row.outcome:<4}', style=_STYLES[row.outcome])
+    if not row.outcome.judged:
         words = [word for word in (row.kind, row.who) if word]
         text.append(f' {" ".join(words)}: ' if words else ' ')
-        text.append(f'{row.detail}  ')
-    text.append(scene_words(row), style='dim')
-    return text
+        return text.append(f'{row.detail}  ').append(scene_words(row), style='dim')
+    text.append(f'  {rho_words(row, 7)}  {row.max_cross_track_m:5.1f} m  ')
+    notes = [f'stopped at {row.stopped_s:.1f} s'] if row.stopped_early else []
+    if row.unusable_share > MOST_UNUSABLE_SHARE:
+        notes.append(f'{row.unusable_estimates} of {row.steps} estimates unusable')
+    notes += [free_run_line(row.free)] if row.free else []
+    notes += [_sigma_words(row.sigma)] if row.sigma else []
+    text.append('off runway' if row.left_runway else '', style='red')
+    text.append(', '.join(['', *notes] if row.left_runway else notes), style='yellow')
+    text.pad_right(_NOTES_END - len(text))
+    own = {key: value for key, value in row.scene.items() if shared.get(key) != value}
+    start = (
+        f'  {row.cross_track_m:+6.1f} m {row.heading_deg:+4.0f}° {row.distance_m:6.0f} m'
+        f'  {circumstances(own)}'
+    )
+    room = max(_MOST_COLUMNS - len(text), 0)
+    return text.append(start if len(start) <= room else start[:room - 1] + '…', style='dim')
 
 
 def _sigma_words(sigma: Mapping[str, float]) -> str:
     """What covariances claimed of the errors, and how it fits."""
     return ', '.join(
-        f'{name.upper()} sigma <= {sigma[most]:.2f} {unit} ({sigma[f"{name}_within_1"]:.0%} of '
-        f'errors within 1, {sigma[f"{name}_within_2"]:.0%} within 2)'
+        f'{name.upper()} sigma <= {sigma[most]:.2f} {unit}, '
+        f'{sigma[f"{name}_within_1"]:.0%} within 1'
         for name, unit in (('cte', 'm'), ('he', 'deg')) if (most := f'{name}_max_{unit}') in sigma
     )
 
@@ -303,15 +331,29 @@ def scene_words(row: RunRow) -> str:
     """Short description of a scene in human units; empty if none was drawn."""
     if row.time_of_day_h is None or row.rain_percent is None:
         return ''
-    rain = f' rain {_percent(row.rain_percent)} %' if row.rain_percent > 0 else ''
-    words = row.place, row.aircraft, row.camera
-    where = ''.join(f'  {word}' for word in words if word not in _USUAL)
     track = '' if row.track in ('', RUNWAY_TRACK) else f' {along_words(row.track)}'
     return (
         f'CTE {row.cross_track_m:+.1f} m  HE {row.heading_deg:+.0f} deg  '
-        f'at {row.distance_m:.0f} m{track}  {clock_words(row.time_of_day_h)} {row.clouds}{rain}'
-        f'{unusual_words(row.scene)}{where}'
+        f'at {row.distance_m:.0f} m{track}  {circumstances(row.scene)}'
     )
+
+
+def circumstances(scene: Mapping[str, Any]) -> str:
+    """What a scene has beside its start, such as ``17:58 overcast rain 30 %``.
+
+    Args:
+        scene: in human units, by key; missing ones are left out.
+    """
+    hour, rain = scene.get(TIME_OF_DAY.key), scene.get(RAIN.key)
+    words = ' '.join(filter(None, [
+        '' if hour is None else clock_words(hour), scene.get(SKY.key),
+        f'rain {_percent(rain)} %' if rain else '',
+    ]))
+    named = ((key, str(scene.get(key) or '')) for key in (
+        PLACE.key, AIRCRAFT_MODEL.key, CAMERA.key))
+    where = ''.join(f', {key} {name.partition("@")[0]}' for key, name in named
+                    if name not in _USUAL)
+    return f'{words}{unusual_words(scene)}{where}'.lstrip(' ,')
 
 
 def _percent(value: float) -> str:

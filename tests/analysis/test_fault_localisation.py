@@ -96,7 +96,7 @@ def said(*given, **kinds) -> str:
         # Clopper and Pearson, 4 of 4: the lower end is 0.025 ** (1 / 4).
         f'{100 * 0.025**0.25:.1f}–100.0 %): the network is to blame',
         '75 % (19–99 %) with a perfect heading error alone',
-        'only the heading error for 3, only the cross-track error for 0, and 1 need')),
+        '1 pass only if both estimates are perfect, 3 pass already with a perfect heading')),
     ([(True, True, True), (False, False, False), (False, False, False)], (
         '1 of 3 counterexamples', 'The other 2 fail with it too')),
     ([(False, False, False)] * 2, (

@@ -52,10 +52,15 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
     assert {**there.facts, 'bags': False, 'engine': 'loop'} == found.facts
 
 
-def test_given_more_runs_and_workers_when_resumed_then_the_table_is_that_of_one_sitting(tmp_path):
+def test_given_more_runs_and_workers_when_resumed_then_the_table_is_that_of_one_sitting(
+    tmp_path, capsys
+):
     whole = search(tmp_path / 'whole', runs=4)
     search(tmp_path / 'parts', runs=2)
-    parts = search(tmp_path / 'parts', runs=4, workers=2, resume=True)
+    assert capsys.readouterr().err == '', 'neither a terminal nor a notebook'
+    parts = search(tmp_path / 'parts', runs=4, workers=2, resume=True, progress=True)
+    lines = capsys.readouterr().err.split('\r')[1:]
+    assert [line[:11] for line in lines] == ['3 of 4 runs', '4 of 4 runs']
     assert len(whole.rows) == 4
     assert parts.rows.drop(columns=PER_MACHINE).equals(whole.rows.drop(columns=PER_MACHINE))
 

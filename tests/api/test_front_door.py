@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -99,6 +102,24 @@ def test_given_the_page_then_every_example_on_it_runs(campaign_folder, monkeypat
         exec(compile(block, str(PAGE), 'exec'), names)
     assert names['run'].outcome == 'PASS'
     assert names['there'].shape == (200, 360, 3)
+
+
+@pytest.mark.nightly
+def test_given_the_notebook_then_its_cells_run_one_after_the_other(monkeypatch, tmp_path):
+    """As plain Python: no notebook server is needed, and the last line of each is evaluated."""
+    cells = json.loads((ROOT / 'examples' / 'first_look.ipynb').read_text())['cells']
+    assert all(cell['outputs'] == [] for cell in cells if cell['cell_type'] == 'code')
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for cell in cells:
+        if cell['cell_type'] == 'code':
+            lines = ast.parse(cell['source']).body
+            exec(compile(ast.Module(lines[:-1], []), 'cell', 'exec'), names)
+            last = ast.Interactive(lines[-1:])
+            exec(compile(last, 'cell', 'single'), names)
+    assert names['run'].outcome == 'FAIL'
+    assert names['campaign'].report().is_file()
+    assert names['worst'].headline.lower < 0
 
 
 @pytest.mark.parametrize('name', [

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import pytest
 from hypothesis import given
@@ -105,3 +106,25 @@ def test_given_a_bad_value_in_si_units_then_it_is_told_in_si_units(values, words
     with pytest.raises(UsageError) as error:
         Scenario(**values)
     assert words in str(error.value)
+
+
+def test_given_keys_of_the_command_line_then_they_are_the_same_in_other_units():
+    made = Scenario(time_of_day_h=9.5, rain='30 %', clouds='overcast', heading_deg=-10)
+    assert made == Scenario(
+        time_of_day_s=34200.0, rain_fraction=0.3, clouds='overcast', heading_rad=math.radians(-10))
+    assert repr(made) == (
+        f"Scenario(heading_rad={math.radians(-10)!r}, clouds='overcast', rain_fraction=0.3, "
+        'time_of_day_s=34200.0)'
+    )
+    assert '<td style="text-align:left">09:30</td>' in made._repr_html_()
+    assert 'camera' not in made._repr_html_()
+
+
+@pytest.mark.parametrize(('values', 'complaint'), [
+    ({'time_of_day_h': 9.5, 'time_of_day_s': 3.0}, 'time_of_day_h is given twice, also as'),
+    ({'cros_track': 3}, "unknown key 'cros_track'; did you mean cross_track_m?; known: "),
+    ({'heading_deg': 'left'}, "heading_deg needs a number, got 'left'"),
+])
+def test_given_keys_that_are_none_or_said_twice_then_one_line_says_so(values, complaint):
+    with pytest.raises(UsageError, match=re.escape(complaint)):
+        Scenario(**values)

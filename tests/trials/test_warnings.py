@@ -22,6 +22,7 @@ from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.summary import (
     Summary,
     campaign_summary,
+    circumstances,
     requirement_lines,
     row_line,
     scene_words,
@@ -59,8 +60,8 @@ def test_people2_given_a_requirement_that_no_run_can_violate_then_it_is_told_and
         lines = [line.plain for line in requirement_lines(search.proposer.check)]
         quiet = [line.plain for line in requirement_lines(search.proposer.check, quiet=True)]
         facts = read_facts(tmp_path / 'a')
-    assert lines[0].startswith('phi_eventually: at some time from 0 s to 10 s: always from then on')
-    assert lines[1].startswith('gentle: always over the run: |steering| <= 0.3 rad (17.19 deg)')
+    assert lines[0].startswith('phi_eventually: within 1.5 m of the centreline from 10 s')
+    assert lines[1].startswith('gentle: |steering| <= 0.3 rad (17.19 deg) all the time')
     assert quiet == lines[2:] == [f'warning: {text}' for text in facts['warnings']]
     assert 'eventually[0:10] ends at 10 s, after the run of 1 s' in quiet[0]
     assert quiet[1].startswith('warning: gentle: no run can violate it')
@@ -115,7 +116,8 @@ def test_people2_given_rain_of_less_than_a_percent_when_told_then_it_is_not_zero
 
 
 def test_given_an_unusual_aircraft_when_told_then_the_line_names_it_and_the_camera() -> None:
-    assert scene_words(row(0, aircraft='c172p', camera='strut')).endswith('  c172p  strut')
+    told = scene_words(row(0, aircraft='c172p', camera='strut'))
+    assert told.endswith(', aircraft c172p, camera strut')
     assert 'caravan' not in scene_words(row(0))
 
 
@@ -143,3 +145,16 @@ def test_ros15_given_errors_that_overflow_in_degrees_then_the_row_is_finite() ->
     made = row(0)
     text = json.dumps(made.to_json(), allow_nan=False)
     assert RunRow.from_json(json.loads(text)) == made
+
+
+def test_given_what_all_scenes_have_then_lines_of_runs_leave_it_out_and_fit_100_columns() -> None:
+    made = row(0, clouds='stratus', rain_fraction=1.0, wind_speed_mps=8.0, camera='strut')
+    shared = {'clouds': 'stratus', 'camera': 'strut'}
+    assert circumstances(shared) == 'stratus, camera strut'
+    line = row_line(made, shared).plain
+    assert len(line) <= 100
+    assert 'stratus' not in line
+    assert 'rain 100 %' in line
+    whole = row_line(dataclasses.replace(made, place='a_long_name@0123456789ab')).plain
+    assert len(whole) == 100
+    assert whole.endswith('…')

@@ -1,7 +1,7 @@
 """Figures of a campaign: failure rates and robustness over the features of the scenes.
 
-Rates in bins of each feature, with intervals, and over two features at once; robustness as in the
-paper's Figures 4 and 6; causes; and the axes and colours that they share.
+Rates in bins of each feature, with intervals; robustness as in the paper's Figures 4 and 6;
+causes; and the axes and colours that they share.
 """
 
 from __future__ import annotations
@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from taxinet_ros.analysis.campaign.findings import Findings
@@ -106,8 +104,6 @@ def _rho_ticks(low: float, high: float) -> list[float]:
 
 
 _COLUMNS = 2
-_DARK_TEXT, _LIGHT_TEXT = '#111111', '#ffffff'
-_RUNS_PER_CELL = 12
 
 
 def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
@@ -141,35 +137,6 @@ def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
     )
 
 
-def map_picture(runs: CampaignRuns, across: Feature, up: Feature, name: str) -> Picture:
-    """Failure rate over two features, as a map with the rate in each cell."""
-    cells = max(1, len(runs.frame) // _RUNS_PER_CELL)
-    rows = bins(up, runs.frame, min(10, max(1, round(math.sqrt(cells / 2)))))
-    columns = bins(across, runs.frame, min(12, max(2, cells // len(rows))))
-
-    def draw(figure: Figure, theme: Theme) -> None:
-        axes = figure.subplots()
-        ground, full = np.array(to_rgb(theme.paper)), np.array(to_rgb(theme.failed))
-        colours = LinearSegmentedColormap.from_list('rate', [0.94 * ground + 0.06 * full, full])
-        for y, row in enumerate(rows):
-            for x, column in enumerate(columns):
-                _cell(axes, x, y, runs.rate(row.mask & column.mask), colours, theme)
-        axes.set_xlim(-0.5, len(columns) - 0.5)
-        axes.set_ylim(-0.5, len(rows) - 0.5)
-        _name_bins(axes, across, columns)
-        _name_rows(axes, up, rows)
-        axes.tick_params(length=0)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-
-    return Picture(
-        name=name, title=f'How often runs fail, by {across.title} and {up.title}', draw=draw,
-        caption='The share of runs that fail [%] in each cell, below it the number of runs; a cell '
-        f'without numbers has no such run{_meaning([runs])}.',
-        size_in=(7.6, 1.1 + 0.46 * len(rows)),
-    )
-
-
 def _bars(
     axes: Axes, found: Sequence[tuple[Bin, GroupRate]], colour: str, shift: float, label: str,
     theme: Theme,
@@ -197,12 +164,6 @@ def _name_bins(axes: Axes, feature: Feature, cut: Sequence[Bin]) -> None:
                     ha='right' if turned else 'center', rotation_mode='anchor')
 
 
-def _name_rows(axes: Axes, feature: Feature, cut: Sequence[Bin]) -> None:
-    places, labels = _labels(feature, cut)
-    axes.set_yticks(places, labels, fontsize=8)
-    axes.set_ylabel(feature.axis)
-
-
 def _labels(feature: Feature, cut: Sequence[Bin]) -> tuple[list[float], list[str]]:
     if not feature.numeric or len(cut) == 1:
         return [float(number) for number in range(len(cut))], [one.label for one in cut]
@@ -222,22 +183,6 @@ def _edge(feature: Feature, value: float) -> str:
     if feature.form is Form.CLOCK:
         return feature.value_words(value)
     return f'{value:,g}'.replace('-', '−')
-
-
-def _cell(
-    axes: Axes, x: int, y: int, rate: GroupRate, colours: LinearSegmentedColormap, theme: Theme
-) -> None:
-    if math.isnan(rate.rate):
-        return
-    colour = colours(rate.rate)
-    axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=colour, linewidth=0))
-    light = float(np.dot(np.array(colour[:3]) ** 2.2, (0.2126, 0.7152, 0.0722)))
-    text = _DARK_TEXT if light > 0.18 else _LIGHT_TEXT
-    axes.text(x, y + 0.13, f'{100 * rate.rate:.0f}', ha='center', va='center', fontsize=9,
-              color=text)
-    number = rate.runs if math.isnan(rate.effective) else int(rate.effective)
-    axes.text(x, y - 0.27, f'{number}', ha='center', va='center', fontsize=6, color=text,
-              alpha=0.85)
 
 
 def _meaning(campaigns: Sequence[CampaignRuns]) -> str:

@@ -17,18 +17,8 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.causes.causes import Causes, find_causes
-from taxinet_ros.analysis.causes.clusters import (
-    Clusters,
-    PrincipalAxis,
-    find_clusters,
-    principal_axes,
-)
-from taxinet_ros.analysis.causes.predictors import (
-    CauseTree,
-    RankedFeature,
-    grow_tree,
-    rank_features,
-)
+from taxinet_ros.analysis.causes.clusters import Clusters, find_clusters
+from taxinet_ros.analysis.causes.predictors import RankedFeature, rank_features
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
 from taxinet_ros.bag.errors import BagError
@@ -178,7 +168,7 @@ class Findings:
         runs: runs of the campaign.
         alpha: significance level of the causes.
         ranking: features by how well they predict failure.
-        causes, clusters, axes, tree: analyses of the failures.
+        causes, clusters: analyses of the failures.
         comparisons: with the baselines, in their order.
     """
 
@@ -187,8 +177,6 @@ class Findings:
     ranking: tuple[RankedFeature, ...]
     causes: Causes
     clusters: Clusters
-    axes: tuple[PrincipalAxis, ...]
-    tree: CauseTree | None
     comparisons: tuple[BaselineComparison, ...]
 
     @property
@@ -216,10 +204,8 @@ def analyse(
     on_progress('clusters')
     telling = [one.feature.name for one in ranking if one.p <= alpha]
     clusters = find_clusters(runs.frame, telling)
-    on_progress('tree')
     return Findings(
         runs=runs, alpha=alpha, ranking=ranking, causes=causes, clusters=clusters,
-        axes=principal_axes(runs.frame), tree=grow_tree(runs),
         comparisons=tuple(compare(runs, baseline, causes) for baseline in baselines),
     )
 

@@ -55,15 +55,6 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
              'median_rho': one.median_rho} for one in findings.clusters.found
         ],
         'silhouette': findings.clusters.silhouette if findings.clusters.found else None,
-        'principal_axes': [
-            {'explained': one.explained, 'loadings': dict(one.loadings)} for one in findings.axes
-        ],
-        'tree': None if findings.tree is None else {
-            'depth': findings.tree.depth, 'accuracy': findings.tree.accuracy,
-            'guess': findings.tree.guess,
-            'rules': [{'words': rule.region.words(), 'region': rule.region.parts,
-                       'rate': rule.rate} for rule in findings.tree.rules],
-        },
         'baselines': [_baseline(one) for one in findings.comparisons],
         'runs_to_look_at': report.runs,
     })

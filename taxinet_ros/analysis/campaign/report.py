@@ -10,20 +10,17 @@ import pandas as pd
 
 from taxinet_ros.analysis.campaign.figures import (
     causes_picture,
-    map_picture,
     rates_picture,
     rho_picture,
 )
 from taxinet_ros.analysis.campaign.findings import Findings, bag_folders, failures_to_inspect
 from taxinet_ros.analysis.campaign.tables import (
-    axes_table,
     bins_table,
     causes_table,
     clusters_table,
     failures_table,
     ranking_table,
     rates_table,
-    tree_table,
 )
 from taxinet_ros.analysis.causes.clusters import CLEAR
 from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
@@ -86,14 +83,8 @@ def _figures(
     runs, campaigns = findings.runs, findings.campaigns
     found: dict[str, Sequence[Picture | Table]] = {
         'rates': (rates_picture(campaigns), rates_table(findings), bins_table(runs)),
-        'day': (
-            rho_picture(campaigns, TIME_OF_DAY, 'rho_by_hour'),
-            map_picture(runs, TIME_OF_DAY, CLOUDS_KIND, 'rate_by_hour_and_clouds'),
-        ),
-        'runway': (
-            rho_picture(campaigns, DISTANCE, 'rho_by_distance'),
-            map_picture(runs, DISTANCE, TIME_OF_DAY, 'rate_by_distance_and_hour'),
-        ),
+        'day': (rho_picture(campaigns, TIME_OF_DAY, 'rho_by_hour'),),
+        'runway': (rho_picture(campaigns, DISTANCE, 'rho_by_distance'),),
     }
     causes: list[Picture | Table] = []
     if findings.causes.found:
@@ -101,12 +92,9 @@ def _figures(
     if findings.ranking:
         causes.append(ranking_table(findings))
     groups = [clusters_table(findings)] if findings.clusters.found else []
-    groups += [axes_table(findings)] if findings.axes else []
     found |= {'causes': causes, 'clusters': groups}
     if shown:
         found['counterexamples'] = (failures_table(failures, shown),)
-    if findings.tree is not None:
-        found['tree'] = (tree_table(findings),)
     return found
 
 

@@ -10,11 +10,10 @@ import pandas as pd
 
 from taxinet_ros.analysis.campaign.findings import CAUSE, GROUP, Findings
 from taxinet_ros.analysis.causes.causes import FoundRate
-from taxinet_ros.analysis.causes.clusters import CLOUD_RANK
 from taxinet_ros.analysis.report.parts import Cell, Column, Table
 from taxinet_ros.analysis.runs.bins import bin_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
-from taxinet_ros.analysis.runs.features import BY_NAME, PAPER_FEATURES
+from taxinet_ros.analysis.runs.features import PAPER_FEATURES
 from taxinet_ros.core.scenario_fields import clock_words
 
 _RATE = (
@@ -158,37 +157,6 @@ def clusters_table(findings: Findings) -> Table:
         ),
         rows=tuple((one.number, one.failures, 100 * one.share, one.words(), one.median_rho,
                     one.typical) for one in findings.clusters.found),
-    )
-
-
-def axes_table(findings: Findings) -> Table:
-    """Principal axes and their loadings."""
-    names = list(findings.axes[0].loadings) if findings.axes else []
-    titles = {CLOUD_RANK: 'clouds (rank)'}
-    return Table(
-        name='principal_axes', title='Principal axes of the failures',
-        caption='Spread of the failures along each direction, and the weight of each standardised '
-        'feature.',
-        columns=(
-            Column(name='axis', title='axis'),
-            Column(name='explained_percent', title='variance [%]', decimals=1),
-            *(Column(name=name, title=titles.get(name) or BY_NAME[name].title, decimals=2)
-              for name in names),
-        ),
-        rows=tuple((number, 100 * axis.explained, *axis.loadings.values())
-                   for number, axis in enumerate(findings.axes, 1)),
-    )
-
-
-def tree_table(findings: Findings) -> Table:
-    """Leaves of the tree as rules."""
-    rules = findings.tree.rules if findings.tree is not None else ()
-    return Table(
-        name='tree_rules', title='Rules of the tree',
-        caption='Every run matches one rule. The intervals use the runs the tree was grown from, '
-        'so they are slightly too narrow.',
-        columns=(Column(name='rule', title='scenes'), *_RATE),
-        rows=tuple((rule.region.words() or 'all', *_shares(rule.rate)) for rule in rules),
     )
 
 

@@ -256,9 +256,9 @@ class Cause:
         associated = f'{share:.0f} %{known}'.replace('-', '−')
         return (
             f'{words[0].upper()}{words[1:]}: {self.inside.words()} of {self.inside.runs:,} '
-            f'{remaining}runs fail, elsewhere {self.outside.words()} of {self.outside.runs:,}. It '
-            f'contains {_percent(self.share)} of all failures; {associated} of all failures are '
-            f'associated with it ({self.p_words()})'
+            f'{remaining}runs fail, elsewhere {self.outside.words()} of {self.outside.runs:,}. '
+            f'{_percent(self.share)} of all failures are in it; if it failed like all other '
+            f'scenes, there would be {associated} fewer ({self.p_words()})'
         )
 
     def p_words(self) -> str:

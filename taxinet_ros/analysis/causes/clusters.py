@@ -1,14 +1,13 @@
-"""Structure of the failures among the scenes: clusters and principal axes."""
+"""Groups of similar failures."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from sklearn.cluster import AgglomerativeClustering
-from sklearn.decomposition import PCA
 from sklearn.metrics import silhouette_score
 
 from taxinet_ros.analysis.causes.region import Interval, Ints, Kinds, Part, Region
@@ -190,52 +189,3 @@ def _common(feature: Feature, runs: pd.DataFrame, frame: pd.DataFrame) -> Part |
             high=high if (everywhere > high).mean() > _BEYOND else None,
         )
     return part if part.mask(frame).mean() <= _FEW else None
-
-
-_LEAST_FOR_AXES = 10
-CLOUD_RANK = 'cloud_rank'
-"""The kind of clouds as a number, from 0 for a clear sky to 5 for stratus."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PrincipalAxis:
-    """A principal axis.
-
-    Attributes:
-        explained: share of the failures' variance along it.
-        loadings: loading of each standardised feature, by column.
-    """
-
-    explained: float
-    loadings: Mapping[str, float]
-
-
-def principal_axes(frame: pd.DataFrame) -> tuple[PrincipalAxis, ...]:
-    """Principal axes of the failures, the longest first; none if there are too few failures.
-
-    Each feature is divided by its standard deviation over all runs. So a feature in which failures
-    spread like all scenes has variance 1, and one in which failures agree has little variance.
-
-    Args:
-        frame: all runs, with features and ``failed``.
-    """
-    values = pd.DataFrame({
-        feature.name: frame[feature.name] for feature in PAPER_FEATURES if feature.numeric
-    })
-    values[CLOUD_RANK] = ordered_values(CLOUDS_KIND, frame)
-    values = values.loc[:, values.std(ddof=0) > 0]
-    failures = (values / values.std(ddof=0))[frame['failed'].to_numpy(dtype=bool)]
-    spread = failures.loc[:, failures.std(ddof=0) > 0]
-    if len(spread) < _LEAST_FOR_AXES or spread.shape[1] < 2:
-        return ()
-    found = PCA(svd_solver='full').fit(spread.to_numpy())
-    return tuple(
-        PrincipalAxis(explained=float(share), loadings=_signed(list(spread.columns), axis))
-        for share, axis in zip(found.explained_variance_ratio_, found.components_, strict=True)
-    )
-
-
-def _signed(names: list[str], axis: np.ndarray) -> dict[str, float]:
-    """Loadings with the sign that makes the largest one positive."""
-    sign = 1.0 if axis[np.abs(axis).argmax()] > 0 else -1.0
-    return {name: float(sign * value) for name, value in zip(names, axis, strict=True)}

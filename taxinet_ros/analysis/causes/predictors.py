@@ -1,28 +1,19 @@
-"""Prediction of failure from features: each by itself, and together in a small decision tree."""
+"""How well each feature by itself predicts failure."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
-from sklearn.model_selection import StratifiedKFold, cross_val_score
-from sklearn.tree import DecisionTreeClassifier
 
-from taxinet_ros.analysis.causes.region import Interval, Ints, Kinds, Part, Region, interval_cells
-from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, holm
+from taxinet_ros.analysis.causes.region import Ints, interval_cells
+from taxinet_ros.analysis.runs.campaign import holm
 from taxinet_ros.analysis.runs.features import (
-    BY_NAME,
-    PAPER_FEATURES,
-    PUSHING_FEATURES,
     Feature,
     Floats,
     Mask,
-    kinds_present,
-    ordered_values,
     varied,
 )
 
@@ -99,138 +90,3 @@ def _entropy(share: Floats) -> Floats:
     """Entropy of a coin with this share of heads [bit]."""
     heads, tails = np.clip(share, 1e-300, 1), np.clip(1 - share, 1e-300, 1)
     return -(share * np.log2(heads) + (1 - share) * np.log2(tails))
-
-
-LEAST_RUNS, LEAST_OF_A_KIND = 40, 10
-_FOLDS, _DEEPEST = 5, 4
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Rule:
-    """A leaf of the tree.
-
-    Attributes:
-        region: its scenes.
-        rate: failure rate of its runs among those that the tree was grown from.
-    """
-
-    region: Region
-    rate: GroupRate
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CauseTree:
-    """A decision tree that predicts failure.
-
-    Attributes:
-        rules: its leaves, the highest rate first.
-        depth: depth of the deepest leaf, chosen by cross-validation.
-        accuracy: share of held-out runs that it predicts correctly, mean of five folds.
-        guess: share that the more frequent outcome would predict correctly.
-    """
-
-    rules: tuple[Rule, ...]
-    depth: int
-    accuracy: float
-    guess: float
-
-
-def grow_tree(runs: CampaignRuns) -> CauseTree | None:
-    """Grow the tree; None if there are too few runs or failures, or nothing to split by.
-
-    The depth is the smallest whose log loss on held-out runs is within one standard error of the
-    best (Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984).
-    """
-    failed = runs.failed
-    columns = _columns(runs.frame)
-    of_a_kind = min(int(failed.sum()), int((~failed).sum()))
-    if len(failed) < LEAST_RUNS or of_a_kind < LEAST_OF_A_KIND or columns.empty:
-        return None
-    folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=0)
-    values = columns.to_numpy()
-    losses = np.array([
-        cross_val_score(_tree(depth, len(failed)), values, failed, cv=folds, scoring='neg_log_loss')
-        for depth in range(1, _DEEPEST + 1)
-    ])
-    mean = losses.mean(axis=1)
-    best = int(mean.argmax())
-    error = float(losses[best].std(ddof=1)) / np.sqrt(_FOLDS)
-    depth = int(np.flatnonzero(mean >= mean[best] - error)[0]) + 1
-    right = cross_val_score(_tree(depth, len(failed)), values, failed, cv=folds)
-    tree = _tree(depth, len(failed)).fit(values, failed)
-    rules = [
-        Rule(region=_in_order(region), rate=runs.rate(region.mask(runs.frame)))
-        for region in _leaves(tree.tree_, list(columns.columns), runs.frame)
-    ]
-    return CauseTree(
-        rules=tuple(sorted(rules, key=lambda rule: -rule.rate.rate)), depth=depth,
-        accuracy=float(right.mean()), guess=float(max(failed.mean(), 1 - failed.mean())),
-    )
-
-
-def _tree(depth: int, runs: int) -> DecisionTreeClassifier:
-    return DecisionTreeClassifier(
-        max_depth=depth, min_samples_leaf=max(8, runs // 100), criterion='entropy', random_state=0,
-    )
-
-
-def _columns(frame: pd.DataFrame) -> pd.DataFrame:
-    """Feature columns: numbers unchanged, kinds of clouds by their rank."""
-    columns = {
-        feature.name: ordered_values(feature, frame)
-        for feature in varied(frame, (*PAPER_FEATURES, *PUSHING_FEATURES))
-    }
-    return pd.DataFrame(columns, index=frame.index)
-
-
-def _leaves(tree: Any, names: list[str], frame: pd.DataFrame) -> Iterator[Region]:
-    """The region of each leaf, from left to right."""
-    def below(node: int, region: Region) -> Iterator[Region]:
-        if tree.children_left[node] < 0:
-            yield region
-            return
-        name, limit = names[tree.feature[node]], float(tree.threshold[node])
-        yield from below(tree.children_left[node], _with(region, name, limit, False, frame))
-        yield from below(tree.children_right[node], _with(region, name, limit, True, frame))
-
-    yield from below(0, Region(parts=()))
-
-
-def _in_order(region: Region) -> Region:
-    order = list(BY_NAME)
-    return Region(parts=tuple(sorted(region.parts, key=lambda part: order.index(part.feature))))
-
-
-def rounded_ends(feature: Feature, below: float, above: float) -> tuple[float, float]:
-    """Round ends of the two sides of a split, which do not overlap.
-
-    Args:
-        feature: feature that is split by.
-        below: greatest value of a run on the lower side.
-        above: least value of a run on the upper side.
-    """
-    most, least = feature.rounded(below, below)[1], feature.rounded(above, above)[0]
-    if most <= least:
-        return most, least
-    middle = (below + above) / 2
-    return middle, middle  # both sides name it; no run lies there
-
-
-def _with(region: Region, name: str, limit: float, above: bool, frame: pd.DataFrame) -> Region:
-    """The part of a region on one side of a split."""
-    feature = BY_NAME[name]
-    old = next((part for part in region.parts if part.feature == name), None)
-    others = tuple(part for part in region.parts if part.feature != name)
-    new: Part
-    if not feature.numeric:
-        kinds = old.kinds if isinstance(old, Kinds) else kinds_present(feature, frame)
-        new = Kinds(feature=name, kinds=tuple(
-            kind for kind in kinds if (feature.kinds.index(kind) > limit) is above))
-    else:
-        values = frame[name].to_numpy(dtype=np.float64)
-        most, least = rounded_ends(
-            feature, float(values[values <= limit].max()), float(values[values > limit].min()))
-        low, high = (old.low, old.high) if isinstance(old, Interval) else (None, None)
-        low, high = (least, high) if above else (low, most)
-        new = Interval(feature=name, low=low, high=high)
-    return Region(parts=(*others, new))

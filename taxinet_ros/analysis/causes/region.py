@@ -208,8 +208,11 @@ class Either:
 
     def words(self) -> str:
         """Display text."""
-        first, second = self.either
-        return f'either {first.words()}, or {second.words()}, not both'
+        one, other = self.either
+        return (
+            f'{one.words()} and not {other.words()}, or {other.words()} and not {one.words()}'
+        ).replace('not no ', 'with ')
+
 
 Part = Interval | Kinds | Slant | Either
 

@@ -27,6 +27,7 @@ from taxinet_ros.analysis.one_run.judged import clauses_json
 from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import Cell, Column, Picture, Report, Table
 from taxinet_ros.analysis.report.text import environment, fill_report
+from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 from taxinet_ros.core.types import TrackingError
@@ -62,6 +63,7 @@ def explain_report(found: Explanation) -> Report:
             'misled_deg': math.degrees(abs(worst.moment.misled_rad)), 'outcome': found.outcome,
             'scene': found.run.request.scenario.to_human(), 'parts': PARTS,
             'camera': world_and_camera(found.run.world or KMWH)[1],
+            'tolerance_m': CENTRELINE_TOLERANCE_M,
         },
         _figures(found), runs={run_id: found.bag}, worst=run_id, worst_words='The run',
     )

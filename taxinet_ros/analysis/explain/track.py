@@ -29,6 +29,7 @@ from taxinet_ros.core.renderer import RunCamera
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
+from taxinet_ros.core.verdict.run_statistics import deciding_steps
 
 Floats = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -91,6 +92,11 @@ class Track:
         beyond = np.abs(self.cte_m) > self.half_width_m
         away = beyond | (np.abs(self.he_rad) > _TURNED_AWAY_RAD)
         return int(away.argmax()) if away.any() else len(away)
+
+    @property
+    def deciding_steps(self) -> int:
+        """Control steps on the runway that decided whether the aircraft stays at its line."""
+        return deciding_steps(self.cte_m[:self.steps_on_runway], self.t_s)
 
     @property
     def greatest_change(self) -> tuple[float, float]:
@@ -216,14 +222,14 @@ def read_track(
 def choose_rows(track: Track, frames: int) -> tuple[int, ...]:
     """Rows of the frames to examine: where the network misleads the aircraft most, and the start.
 
-    Frames after the aircraft has left the runway or turned away are excluded, since they do not
-    explain why it did.
+    Frames after the aircraft was last at its line are excluded (:func:`.deciding_steps`), since
+    they do not explain why it left; so are those off the runway or turned away on it.
 
     Args:
         track: the estimates.
         frames: maximum number of rows; there are fewer if they would be less than a second apart.
     """
-    misled = np.abs(track.misled_rad[:max(track.steps_on_runway, 1)])
+    misled = np.abs(track.misled_rad[:max(track.deciding_steps, 1)])
     stamps_ns = track.seq * CONTROL_PERIOD_NS
     chosen: list[int] = []
     # A stable sort: the earliest of equal ones first.

@@ -450,7 +450,7 @@ def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
     runs = 'run was' if broken == 1 else 'runs were'
     return Criterion(
         kind=Kind.BROKEN,
-        name=f'broken by the bench <= {most}',
+        name=f'runs broken by the bench: at most {most}',
         verdict=Verdict.PASS if broken <= most else Verdict.FAIL,
         sentence=f'{broken} {runs} broken by the bench and {"is" if broken == 1 else "are"} in no '
                  f'share{how}',

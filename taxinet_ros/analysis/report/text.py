@@ -25,6 +25,8 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
 from taxinet_ros.analysis.report.parts import Link, Picture, Report, Section, Table
+from taxinet_ros.core.mtl import SIGNALS, parse_formula
+from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.trials.rates import count_words
 
 _TITLE, _SECTION, _FACT, _COMMAND, _LINK = map(re.compile, (
@@ -164,6 +166,7 @@ def environment(folder: Path) -> Environment:
         'signed': lambda value, digits=2: decimals(value, digits, sign='+'),
         'p': p_words,
         'file_name': _file_name,
+        'formula': lambda text: formula_words(parse_formula(text), SIGNALS),
         'capital': lambda text: text[:1].upper() + text[1:],
     }
     return found

@@ -8,11 +8,14 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.analysis.report.pictures import PictureView, data_address, view_picture
 from taxinet_ros.analysis.report.viewer import RunView
+from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
+from taxinet_ros.core.verdict.run_statistics import deciding_steps
 
 _BEYOND_EDGE_M = 3.0
 _MORE_STEPS = 5
@@ -47,8 +50,8 @@ def rho_words(rho: float) -> str:
 def view_worst(view: RunView, rho: float | None) -> WorstView:
     """Prepare a run for the first screen.
 
-    The frame is that at which the estimate is farthest off while the aircraft is on the pavement,
-    or the aircraft from the line where no estimate is known.
+    The frame is that at which the estimate is farthest off before the aircraft leaves its line, or
+    the aircraft from the line where no estimate is known.
 
     Args:
         view: the run, of one step or more.
@@ -80,11 +83,17 @@ def _moment(view: RunView) -> tuple[int, bool]:
     rows = np.array(view.frames.steps or range(len(view.t_s)))
     cte = view.curves['cte'][rows]
     wrong = np.abs(view.curves['cteEstimate'][rows] - cte)
-    wrong[np.abs(cte) > view.half_width_m] = np.nan
+    off = np.abs(view.curves['cte']) > view.half_width_m
+    on = int(off.argmax()) if off.any() else len(off)
+    wrong[rows >= deciding_steps(_numbers(view.curves['cte'][:on]), _numbers(view.t_s))] = np.nan
     if np.isfinite(wrong).any() and np.nanmax(wrong) > 0:
         return int(rows[np.nanargmax(wrong)]), True
     far = np.where(np.isfinite(cte), np.abs(cte), -1.0)
     return int(rows[far.argmax()]), False
+
+
+def _numbers(column: Column) -> NDArray[np.float64]:
+    return np.asarray(column, dtype=np.float64)
 
 
 def _side_words(cte_m: float) -> str:

@@ -297,6 +297,10 @@ class Recording(Sequence['Recording']):
 
     # ---- its runs as recordings ---------------------------------------------------------------
 
+    def __repr__(self) -> str:
+        runs = 'damaged' if self.damage else f'{len(self)} run{"s" if len(self) > 1 else ""}'
+        return f'<Recording {self.path}{f" {self.name}" if self.name else ""}: {runs}>'
+
     def __len__(self) -> int:
         return len(self.runs)
 

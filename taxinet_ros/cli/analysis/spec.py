@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Annotated
 
 import typer
@@ -48,14 +49,15 @@ def spec(
     if others:
         raise UsageError(f'--set {next(iter(others))}: only controller gains apply here')
     found = check_specs(specs, Scenario(duration_s=duration), SteeringGains(**gains))
+    lines = tuple(map('; '.join, zip(found.lines, found.reaches, strict=True)))
     if as_json:
         print_json({
             'specs': [
                 {'spec': spec.name, 'formula': spec.text, 'understood': line}
-                for spec, line in zip(specs, found.lines, strict=True)
+                for spec, line in zip(specs, lines, strict=True)
             ],
             'warnings': found.warnings,
         })
         return
-    for line in requirement_lines(found):
+    for line in requirement_lines(dataclasses.replace(found, lines=lines)):
         line_console().print(line)

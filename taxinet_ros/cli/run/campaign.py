@@ -42,6 +42,7 @@ from taxinet_ros.trials.summary import (
     campaign_heading,
     campaign_summary,
     requirement_lines,
+    row_headings,
     row_line,
     summary_json,
 )
@@ -130,7 +131,7 @@ def make_campaign(
 
         def show(row: RunRow) -> None:
             if not quiet:
-                progress.console.print(row_line(row), soft_wrap=True)
+                progress.console.print(row_line(row, scenes.check.shared), soft_wrap=True)
             progress.advance(bar)
 
         here = None if _runs_elsewhere(options, foxglove) else _Graphs(options)
@@ -151,7 +152,8 @@ def make_campaign(
                     lines.append(f'your functions print to {options.out}/logs/worker-1.log')
                 progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             live = [] if foxglove is None else [f'live at ws://127.0.0.1:{foxglove}']
-            for line in (*requirement_lines(scenes.check, quiet=quiet), *live):
+            above = [] if quiet else row_headings(scenes.check, options.runs)
+            for line in (*requirement_lines(scenes.check, quiet=quiet), *live, *above):
                 progress.console.print(line, soft_wrap=True)
             if here:
                 _run_here(engine, here, foxglove)

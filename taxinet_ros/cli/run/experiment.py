@@ -33,7 +33,7 @@ from taxinet_ros.trials.experiment import (
 from taxinet_ros.trials.options import DEFAULT_ROOT, GRAPH, new_folder
 from taxinet_ros.trials.record.facts import missing_packages_named
 from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.summary import Summary, requirement_lines
+from taxinet_ros.trials.summary import Summary, requirement_lines, row_headings
 
 
 def experiment(
@@ -138,7 +138,8 @@ def _run_arm(arm: Search, console: Console, *, first: bool) -> Engine[Search]:
         open_cluster(arm.campaign, console) as cluster,
         open_search(arm, console, quiet=False) as search,
     ):
-        for line in requirement_lines(arm.check, quiet=not first):
+        above = row_headings(arm.check, arm.campaign.runs, columns=not console.is_terminal)
+        for line in (*requirement_lines(arm.check, quiet=not first), *above):
             console.print(line, soft_wrap=True)
         for note in (*arm.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)

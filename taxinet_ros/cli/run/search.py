@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
@@ -16,7 +16,6 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     Task,
-    TimeElapsedColumn,
 )
 from rich.text import Text
 
@@ -35,6 +34,7 @@ from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_summary import heading_lines, live_words, search_summary
 from taxinet_ros.trials.summary import (
     requirement_lines,
+    row_headings,
     row_line,
     summary_json,
 )
@@ -45,9 +45,7 @@ _REFRESH_PER_S = 2.0
 @contextlib.contextmanager
 def search_view(console: Console, search: Engine[Any], *, shown: bool) -> Iterator[None]:
     """Context that shows the search live; with ``shown`` False, nothing."""
-    columns = (
-        BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(), _Figures(search),
-    )
+    columns = BarColumn(bar_width=10), MofNCompleteColumn(), _Figures(search)
     with Progress(
         *columns, console=console, transient=True, disable=not shown,
         refresh_per_second=_REFRESH_PER_S,
@@ -69,7 +67,8 @@ class _Figures(ProgressColumn):
         """Render the current figures."""
         task.completed = len(self._search.summary)
         minutes = (time.monotonic() - self._began) / 60
-        return Text('  '.join(live_words(self._search, minutes, self._before)))
+        words = '  '.join(live_words(self._search, minutes, self._before))
+        return Text(words, no_wrap=True, overflow='ellipsis')
 
 
 def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
@@ -97,7 +96,10 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
         if not quiet:
             lines = heading_lines(asked)
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
-        for line in requirement_lines(asked.check, quiet=quiet):
+        above = [] if quiet else row_headings(
+            asked.check, asked.campaign.runs, columns=not console.is_terminal
+        )
+        for line in (*requirement_lines(asked.check, quiet=quiet), *above):
             console.print(line, soft_wrap=True)
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search, cluster)
@@ -118,17 +120,22 @@ def open_search(
 ) -> Iterator[Engine[Search]]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
     shown = not (quiet or console.is_terminal)
-    show = partial(print_row, console=console, quiet=quiet)
+
+    def show(row: RunRow) -> None:
+        print_row(row, console=console, quiet=quiet, shared=asked.check.shared)
+
     search = Engine(asked, PARTICIPANTS, show)
     lost = print_rows_if_lost(console, search.summary, () if shown else search.rows.latest)
     with lost, search:
         yield search
 
 
-def print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
+def print_row(
+    row: RunRow, console: Console, *, quiet: bool, shared: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
     """Print a line of a run, if it is asked for and no bar covers it, as on a terminal."""
     if not quiet and not (console.is_terminal and row.outcome.judged):
-        console.print(row_line(row), soft_wrap=True)
+        console.print(row_line(row, shared), soft_wrap=True)
 
 
 def open_cluster(

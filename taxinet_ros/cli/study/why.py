@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -77,12 +79,13 @@ def why(
     with open_study(out, show) as record:
         claim_study(record, 'why', {'path': str(path)})
         (out / 'logs').mkdir(exist_ok=True)
+        numbers, began = itertools.count(1), time.monotonic()
 
         def run_stages(stages: Sequence[Stage]) -> Mapping[str, str]:
             sitting = StudyRun(
                 out, with_engine(stages, engine, audit, where), record=record,
                 work=call_stage, workers=workers, show=show, folder=Path.cwd(),
-                logs=out / 'logs', again='the same command',
+                logs=out / 'logs', again='the same command', numbers=numbers, began=began,
             )
             sitting.run()
             return sitting.refused

@@ -40,7 +40,7 @@ def show_camera(
         ),
     ] = None,
 ) -> None:
-    """Describe a camera, and draw what it sees on an aircraft and where it looks, or list all."""
+    """Describe a camera, and with --out draw what it sees and where it looks, or list all."""
     from taxinet_ros.analysis.camera.rig_pictures import camera_lines, draw_camera
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
     from taxinet_ros.core.camera.airframe import covering_doubts
@@ -55,13 +55,13 @@ def show_camera(
         return
     found = CAMERAS.typed(camera)
     on = checked_aircraft(AIRCRAFT.typed(aircraft or AIRCRAFT.default))
-    path = new_picture(out, f'camera-{found.name}')
+    path = None if out is None else new_picture(out, '')
     if yaml is not None:
         _write_camera(found, yaml)
     for label, text in camera_lines(found):
         print(f'{label:<12}{text}')
-    write_picture(path, lambda: draw_camera(found, on, path))
-    print(f'picture: {path}' if yaml is None else f'picture: {path}, file: {yaml}')
+    if path is not None:
+        write_picture(path, lambda: draw_camera(found, on, path))
     tell_doubts(covering_doubts(on, found))
 
 

@@ -36,8 +36,8 @@ from taxinet_ros.core.user_code import (
     names_user_code,
     pair_of_numbers,
 )
-from taxinet_ros.errors import UsageError
-from taxinet_ros.registry import CONTROLLERS, find, known
+from taxinet_ros.errors import UsageError, near_miss
+from taxinet_ros.registry import CONTROLLERS, find, known, names
 
 STOP = TaxiCommand(steering_rad=0.0, speed_mps=0.0)
 """Fail-safe command: nose wheel straight, full brakes."""
@@ -94,7 +94,10 @@ def typed_gain(name: str, text: str) -> float:
         UsageError: unknown gain, no number, or a unit of something else.
     """
     if name not in GAIN_RANGES:
-        raise UsageError(f'steering.{name}: unknown gain; known: {", ".join(GAIN_RANGES)}')
+        raise UsageError(
+            f'steering.{name}: unknown gain{near_miss(name, GAIN_RANGES)}; known: '
+            f'{", ".join(GAIN_RANGES)}'
+        )
     wanted = 'a number'
     try:
         number = typed_number(text, GAIN_RANGES[name].unit)
@@ -317,7 +320,8 @@ def _code(word: str) -> UserCode | None:
     if is_node_elsewhere(word):
         raise UsageError(f'controller {word}: {NO_NODE_HERE}')
     raise UsageError(
-        f'controller: {word!r} is unknown; known: {known(CONTROLLERS, "or FILE.py:NAME")}'
+        f'controller: {word!r} is unknown{near_miss(word, names(CONTROLLERS))}; known: '
+        f'{known(CONTROLLERS, "or FILE.py:NAME")}'
     )
 
 

@@ -1,7 +1,7 @@
 """Lint requirements before a run: readable form, errors and warnings.
 
-Readable form: ``always over the run: |steering| <= 0.3 rad (17.19 deg)``. Checks windows,
-thresholds and units.
+Readable form: ``|steering| <= 0.3 rad (17.19 deg) all the time``. Checks windows, thresholds and
+units.
 """
 
 from __future__ import annotations
@@ -62,9 +62,31 @@ def quantity_of(expr: ast.Expr, units: Units) -> Quantity:
 
 def formula_words(formula: ast.Formula, units: Units) -> str:
     """Readable form of a formula."""
-    if isinstance(formula, ast.Compare):
-        return f'at the start of the run: {atom_words(formula, units)}'
+    match formula:
+        case ast.Compare():
+            return f'at the start of the run: {_plain_words(formula, units)}'
+        case ast.Temporal('always', interval, ast.Compare() as atom):
+            low, high = seconds_words(interval.low_ns), interval.high_ns
+            when = f'from {low} to {"the end" if high is None else seconds_words(high)}'
+            if not interval.low_ns and high is None:
+                when = 'all the time'
+            return f'{_plain_words(atom, units)} {when}'
+        case ast.Temporal(
+            'eventually', ast.Interval(0, int() as last),
+            ast.Temporal('always', ast.Interval(0, None), ast.Compare() as atom),
+        ):
+            latest = f'from {seconds_words(last)} at the latest to the end'
+            return f'{_plain_words(atom, units)} {latest}'
     return _formula(formula, units, outermost=True)
+
+
+def _plain_words(atom: ast.Compare, units: Units) -> str:
+    """A comparison as part of a sentence: ``within 1.5 m of the centreline``."""
+    match atom:
+        case ast.Compare('<=' | '<', ast.Function('abs', (ast.Signal('cte'),)), ast.Number(most)):
+            tolerance = value_words(most, dimension_of(units.get('cte', '')))
+            return f'within {tolerance} of the centreline'
+    return atom_words(atom, units)
 
 
 def atom_words(atom: ast.Compare, units: Units) -> str:
@@ -196,13 +218,17 @@ class Setting:
 
 
 def spec_line(spec: Spec, setting: Setting) -> str:
-    """One-line description of a parsed requirement, with signal ranges and horizon."""
+    """A parsed requirement in words."""
+    return f'{spec.name}: {formula_words(spec.formula, setting.units)}'
+
+
+def reach_words(spec: Spec, setting: Setting) -> str:
+    """Known ranges of the signals that a requirement reads, and how far it looks."""
     box = setting.box(spec.formula)
     ranges = [range_words(name, ends, setting.units) for name, ends in box.items()]
     reach_ns = max((window.latest_ns for window in _windows(spec.formula)), default=0.0)
     horizon = seconds_words(min(reach_ns, setting.horizon_ns))
-    words = [formula_words(spec.formula, setting.units), *filter(None, ranges)]
-    return f'{spec.name}: {"; ".join(words)}; horizon {horizon}'
+    return '; '.join([*filter(None, ranges), f'horizon {horizon}'])
 
 
 def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:

@@ -16,7 +16,7 @@ from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.units import dimension_of
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 
 SIGNALS: Mapping[str, str] = MappingProxyType(
     {
@@ -167,8 +167,8 @@ def _of_package(name: str) -> Spec:
     extension = registry.find(registry.REQUIREMENTS, name)
     if extension is None:
         raise UsageError(
-            f'spec: unknown name {name!r}; known: {registry.known(registry.REQUIREMENTS)}; or '
-            'write NAME=FORMULA'
+            f'spec: unknown name {name!r}{near_miss(name, registry.names(registry.REQUIREMENTS))}; '
+            f'known: {registry.known(registry.REQUIREMENTS)}; or write NAME=FORMULA'
         )
     text = extension.load()
     if not isinstance(text, str):

@@ -115,10 +115,10 @@ def free_run_line(free: Mapping[str, float]) -> str:
     words = [f'{free["unanswered"]:.0f} of {free["frames"]:.0f} frames unanswered']
     if 'loop_wall_median_s' in free:
         words.append(
-            f'loop {free["loop_wall_median_s"]:.3f} s, at most {free["loop_wall_max_s"]:.3f} s'
+            f'loop at most {free["loop_wall_max_s"]:.3f} s'
         )
     if free['overruns']:
-        words.append(f'{free["overruns"]:.0f} frames out late, so the pace was not that asked for')
+        words.append(f'{free["overruns"]:.0f} frames late')
     return ', '.join(words)
 
 

@@ -38,7 +38,7 @@ from taxinet_ros.core.user_code import (
     names_user_code,
     pair_of_numbers,
 )
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.registry import PERCEPTIONS, Extension, find, known, names
 
 
@@ -345,5 +345,6 @@ def _network_file(text: str) -> Path:
     path = Path(text)
     if path.suffix not in (SUFFIX, ONNX_SUFFIX):
         words = known(PERCEPTIONS, f'a {SUFFIX} or {ONNX_SUFFIX} file', 'or FILE.py:NAME')
-        raise UsageError(f'perception: {text!r} is unknown; known: {words}')
+        near = near_miss(text, names(PERCEPTIONS))
+        raise UsageError(f'perception: {text!r} is unknown{near}; known: {words}')
     return path

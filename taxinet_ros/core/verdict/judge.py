@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import SteeringGains
@@ -17,7 +18,7 @@ from taxinet_ros.core.mtl import (
     Spec,
     signal_names,
 )
-from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
+from taxinet_ros.core.mtl.lint import Setting, check_windows, reach_words, spec_line, warnings
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, OF_OTHERS, SHIPPED
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.rig.aircraft_model import USUAL_SPEED_MPS
@@ -43,10 +44,14 @@ class SpecCheck:
     Attributes:
         lines: how each is parsed.
         warnings: likely mistakes, one line each.
+        reaches: known ranges of the signals that each reads, and how far it looks.
+        shared: scenario values, in human units, that all scenes have.
     """
 
     lines: tuple[str, ...]
     warnings: tuple[str, ...]
+    reaches: tuple[str, ...] = ()
+    shared: Mapping[str, Any] = field(default_factory=dict)
 
 
 def check_specs(
@@ -123,6 +128,7 @@ def describe_specs(
     return SpecCheck(
         lines=tuple(spec_line(spec, setting) for spec in specs),
         warnings=tuple(line for spec in specs for line in warnings(spec, setting)),
+        reaches=tuple(reach_words(spec, setting) for spec in specs),
     )
 
 

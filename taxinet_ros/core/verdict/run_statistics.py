@@ -6,6 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
@@ -13,6 +16,25 @@ from taxinet_ros.core.types import NS_PER_S
 _SCALE = 2.0**-64
 SIGMA_FIGURES = ('sigma_max', 'within_1_sigma', 'within_2_sigma')
 """What :class:`ErrorStatistics` say of claimed covariances."""
+_AFTER_S, _LEAST_S = 1.0, 2.0
+
+
+def deciding_steps(cte_m: NDArray[np.float64], t_s: NDArray[np.float64]) -> int:
+    """Number of steps that decided whether an aircraft stays at its line.
+
+    They end a second after it was last on the line, or nearest to it, and not within two seconds:
+    what is seen from farther away is a consequence.
+
+    Args:
+        cte_m: true cross-track error at each step, while on the pavement.
+        t_s: simulated times.
+    """
+    away = np.abs(cte_m)
+    near = np.flatnonzero(away <= max(CENTRELINE_TOLERANCE_M, np.nanmin(away, initial=np.inf)))
+    if not len(near):
+        return len(away)
+    last_s = max(t_s[near[-1]] + _AFTER_S, t_s[0] + _LEAST_S)
+    return int(np.searchsorted(t_s[:len(away)], last_s, side='right'))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -81,7 +81,8 @@ def assure_judge(
         int, typer.Option(min=1, max=64, help='worker processes; same results')
     ] = 2,
     out: Annotated[
-        Path | None, typer.Option(help='folder for runs and summary; must be new')
+        Path | None,
+        typer.Option(help='folder for runs and summary; the same command continues in it'),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

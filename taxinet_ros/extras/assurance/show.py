@@ -154,12 +154,13 @@ def judged_lines(judged: Judged) -> list[str]:
         f'{judged.runs:,} scenes; first alarms by check: {reasons}',
         f'of {judged.failed:,} failed runs {judged.in_time:,} have an alarm in time, '
         f'{judged.late:,} later, {judged.missed:,} none',
-        f'{reached:,} of them left the 1.5 m, {in_time:,} with an alarm in time, {late:,} later, '
-        f'{missed:,} none: lead time before {_numbers(judged.lead_s)} s (10, 50, 90 % of all '
-        f'{reached:,}); {judged.unreached:,} were not within them in the first {REACH_S:g} s: '
-        f'alarm after {_numbers(judged.unreached_alarm_s)} s',
+        f'{reached:,} of them left the 1.5 m: {in_time:,} with an alarm in time, {late:,} later, '
+        f'{missed:,} without; seconds from the alarm to leaving them: {_spread(judged.lead_s)}',
+        f'{judged.unreached:,} of them were not within the 1.5 m in the first {REACH_S:g} s; '
+        f'seconds from the start to the alarm: {_spread(judged.unreached_alarm_s)}',
         f'of {judged.off.rate * judged.runs:.0f} runs that leave the runway {judged.off_missed:,} '
-        f'have no alarm before; lead time {_numbers(judged.off_lead_s)} s',
+        f'have no alarm before; seconds from the alarm to leaving it: '
+        f'{_spread(judged.off_lead_s)}',
         f'of {passed:,} satisfied runs {judged.false_alarms:,} have an alarm: '
         f'{_share(judged.false_share)}; {judged.settled_alarms:,} after the first {REACH_S:g} s: '
         f'{per_h.value:.3g} per hour from then on (95 %: {per_h.low:.3g} to {per_h.high:.3g})',
@@ -205,12 +206,13 @@ def trade_picture(judged: Judged) -> Picture:
 def _ratio_words(ratio: Bounded) -> str:
     if math.isnan(ratio.value):
         return 'no run leaves the runway, with it or without'
-    times = 'never, so infinitely' if math.isinf(ratio.value) else f'{ratio.value:.3g} times'
-    high = 'no upper bound' if math.isinf(ratio.high) else f'{ratio.high:.3g}'
-    holds = 'shown' if ratio.low >= WANTED_RATIO else 'not shown'
+    rarer = 'no run leaves the runway, where some do without' if math.isinf(ratio.value) else (
+        f'runs leave the runway {ratio.value:.3g} times less often')
+    high = '' if math.isinf(ratio.high) else f' and at most {ratio.high:.3g}'
+    holds = 'proven' if ratio.low >= WANTED_RATIO else 'not proven by these scenes'
     return (
-        f'leaves the runway {times} less often (95 %: {ratio.low:.3g} to {high}); '
-        f'{WANTED_RATIO:g} times is {holds}'
+        f'{rarer}; that it is at least {WANTED_RATIO:g} times rarer is {holds} (with 95 % '
+        f'confidence, at least {ratio.low:.3g}{high} times)'
     )
 
 
@@ -218,7 +220,13 @@ def _share(share: Rate) -> str:
     return f'{100 * share.rate:.1f} % ({100 * share.low:.1f}-{100 * share.high:.1f})'
 
 
+def _spread(quantiles: tuple[float, ...]) -> str:
+    """The 10, 50 and 90 % quantiles of a time; infinite where no alarm came."""
+    low, middle, high = _numbers(quantiles).split(', ')
+    return f'{middle} in the median, {low} to {high} in the middle 80 %'
+
+
 def _numbers(values: tuple[float, ...]) -> str:
     return ', '.join(
-        '-' if math.isnan(x) else 'none' if math.isinf(x) else f'{x:.2f}' for x in values
+        '-' if math.isnan(x) else 'no alarm' if math.isinf(x) else f'{x:.2f}' for x in values
     )

@@ -497,7 +497,7 @@ def outside_of_run(
     if not (row.from_program if row is not None else sampler in SIMPLY_DRAWN):
         found.append(f'chosen by the sampler {sampler}, not drawn by the program itself')
     if run.run_id in forecast.runs and run.seed == forecast.seed:
-        found.append('it was calibrated on, so it tells nothing about new runs')
+        found.append('this run was used for the calibration')
     return found
 
 

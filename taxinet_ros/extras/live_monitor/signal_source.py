@@ -5,7 +5,6 @@ A field path addresses one number in a structured message: ``pose.pose.position.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -14,7 +13,7 @@ from typing import Any
 
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.units import DIMENSIONS, dimension_of, si_unit
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 
 FieldsOf = Callable[[str], Mapping[str, str]]
 """Maps the name ``package/Name`` of a structured type to its fields (name to type)."""
@@ -92,10 +91,9 @@ def _member(done: FieldPath, kind: str, name: str, fields_of: FieldsOf) -> str:
         raise UsageError(f'{done} is a {kind}, it has no field {name!r}')
     fields = fields_of(kind)
     if name not in fields:
-        near = difflib.get_close_matches(name, fields, 1)
-        hint = f'; did you mean {near[0]}?' if near else ''
         owner = f'{done} ({kind})' if done.steps else kind
         listed = ', '.join(fields) or 'none'
+        hint = near_miss(name, fields)
         raise UsageError(f'{owner} has no field {name!r}{hint}; its fields: {listed}')
     return fields[name]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import importlib.util
 import re
@@ -15,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.extras.live_monitor.signal_source import SignalSource, check_field
 from taxinet_ros.nodes.messages.convert import stamp_of
 
@@ -144,8 +143,7 @@ class TopicReader:
         if self._subscription is not None:
             return f'waiting for the first message on {self.topic} (signal {names})'
         topics = [name for name, _ in self._node.get_topic_names_and_types()]
-        near = difflib.get_close_matches(self.topic, set(topics) - {self.topic}, 1)
-        hint = f'; did you mean {near[0]}?' if near else ''
+        hint = near_miss(self.topic, set(topics) - {self.topic})
         return f'waiting for a publisher of {self.topic} (signal {names}){hint}'
 
     def _identify(self, type_name: str) -> None:

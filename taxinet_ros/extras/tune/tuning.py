@@ -133,9 +133,9 @@ class TuneOptions:
                 f'{self.learning.source}: its controller is {controller}, which has '
                 'no steering gains'
             )
-        seen = {repr(scene.scenario) for scene in self.learning.scenes}
+        seen = {scene.scenario.recorded_text for scene in self.learning.scenes}
         for scene in self.unseen.scenes:
-            if repr(scene.scenario) in seen:
+            if scene.scenario.recorded_text in seen:
                 raise UsageError(
                     f'{self.unseen.source}: scene {scene.row.run_id} is one of the search; judge '
                     'on others'

@@ -7,7 +7,6 @@ ends the launch at once.
 
 from __future__ import annotations
 
-import difflib
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,7 +26,7 @@ from taxinet_ros.core.user_code import (
     node_command,
 )
 from taxinet_ros.core.world import find_world
-from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.errors import ExitCode, UsageError, near_miss
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
 from taxinet_ros.registry import KMWH
@@ -95,9 +94,8 @@ def check_names(given: Sequence[str]) -> None:
     for text in given:
         name = text.partition(':=')[0]
         if name not in ARGUMENTS and name not in _OF_LAUNCH:
-            near = difflib.get_close_matches(name, ARGUMENTS, 1)
-            hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(ARGUMENTS)}'
-            raise UsageError(f'{text}: unknown launch argument; {hint}')
+            hint = near_miss(name, ARGUMENTS) or f'; known: {", ".join(ARGUMENTS)}'
+            raise UsageError(f'{text}: unknown launch argument{hint}')
 
 
 def plan(words: Mapping[str, str]) -> list[NodePlan]:

@@ -5,7 +5,6 @@ Undeclared parameters and non-ROS arguments are refused.
 
 from __future__ import annotations
 
-import difflib
 import sys
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -19,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as Given
 from rclpy.utilities import remove_ros_args
 
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.nodes import interface
 
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
@@ -136,10 +135,9 @@ def refuse_unknown(node: Node) -> None:
             continue
         if name.startswith(_QOS):
             raise UsageError(f'{node.get_name()}: parameter {name}: {_FIXED}')
-        near = difflib.get_close_matches(name, known, 1)
         own = sorted(set(known) - set(_OF_RCLPY))
-        hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(own) or "none"}'
-        raise UsageError(f'{node.get_name()}: unknown parameter {name!r}; {hint}')
+        hint = near_miss(name, known) or f'; known: {", ".join(own) or "none"}'
+        raise UsageError(f'{node.get_name()}: unknown parameter {name!r}{hint}')
 
 
 _WIDTH = 100

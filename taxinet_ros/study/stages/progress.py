@@ -63,11 +63,10 @@ def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str
     )
 
 
-def stage_line(number: int, found: Sequence[Stage], *, resume: bool = False) -> str:
+def stage_line(number: str, stage: Stage, *, resume: bool = False) -> str:
     """Display text with number, name and command of a stage."""
-    stage = found[number - 1]
     command = shlex.join(['taxinet', *stage.words(resume=resume)])
-    return f'[{number}/{len(found)}] {stage.name}: {command}'
+    return f'[{number}] {stage.name}: {command}'
 
 
 def list_lines(found: Sequence[Stage], records: Stages, out: Path) -> list[str]:

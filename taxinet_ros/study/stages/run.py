@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -47,7 +47,8 @@ class StudyRun:
     def __init__(
         self, out: Path, found: Sequence[Stage], *, record: Record, work: Work, workers: int,
         show: Callable[[str], None], folder: Path | None = None, logs: Path | None = None,
-        again: str = '--resume',
+        again: str = '--resume', numbers: Iterator[int] | None = None,
+        began: float | None = None,
     ) -> None:
         """Prepare the sitting; nothing is started yet.
 
@@ -61,6 +62,9 @@ class StudyRun:
             folder: working directory of the stages; None: the study's folder.
             logs: existing folder for what the stages print; None: it is shown.
             again: what continues the study, for messages.
+            numbers: numbers of the stages, where later ones depend on what is found; None: how
+                many there are is known.
+            began: when the command began, by the monotonic clock; None: now.
         """
         self.refused: dict[str, str] = {}
         self._folder = folder or out
@@ -73,6 +77,8 @@ class StudyRun:
         self._workers = workers
         self._show = show
         self._records = read_stages(out)
+        self._numbers = numbers
+        self._began = time.monotonic() if began is None else began
 
     def run(self) -> None:
         """Run the unfinished stages.
@@ -83,12 +89,13 @@ class StudyRun:
             RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
-        self._began = time.monotonic()
-        for number, stage in enumerate(self._stages, 1):
+        for place, stage in enumerate(self._stages, 1):
+            number = f'{place}/{len(self._stages)}' if self._numbers is None else (
+                f'{next(self._numbers)}')
             state = state_of(stage, self._records, self._out)
             if state is State.DONE:
                 took = clock(self._records[stage.name].wall_s)
-                self._show(f'[{number}/{len(self._stages)}] {stage.name}: done, kept ({took})')
+                self._show(f'[{number}] {stage.name}: done, kept ({took})')
                 continue
             if code := self._stage(number, stage, state):
                 raise StoppedError(code)
@@ -105,12 +112,12 @@ class StudyRun:
                     f'{stage.runs:,} asked for now; ask for as many, or name another --out'
                 )
 
-    def _stage(self, number: int, stage: Stage, state: State) -> int:
+    def _stage(self, number: str, stage: Stage, state: State) -> int:
         """Run one stage; return 0 if it is done."""
         self._record.check_in_place()
         resume = self._make_room(stage, state)
         self._show('')
-        self._show(stage_line(number, self._stages, resume=resume))
+        self._show(stage_line(number, stage, resume=resume))
         self._show(f'{clock(time.monotonic() - self._began)} elapsed')
         key = stage.key(self._out)
         record = self._records.get(stage.name, StageRecord()).started(

@@ -57,7 +57,8 @@ def why_report(
         },
         {'sure': (tested,), 'others': (_others(evidence),)},
         runs=bags, worst=next(iter(bags), ''),
-        worst_words='The run' if evidence.single else 'The worst run of the first cause',
+        worst_words='The run' if evidence.single else (
+            'The worst run of the first cause' if causes and causes[0].rank else 'The worst run'),
     )
     return replace(report, sections=(*todo, *report.sections))
 

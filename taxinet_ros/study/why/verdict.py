@@ -259,7 +259,7 @@ def judge(evidence: Evidence) -> Verdict:
         ' '.join(sentences(_FOLDER / 'verdict.j2', block, **values))
         for block in ('whose', 'where', 'sure'))
     # Said first: no other cause need be looked for before.
-    outside = f'{evidence.outside}. ' if evidence.outside and evidence.failed else ''
+    outside = f'The network {evidence.outside}. ' if evidence.outside and evidence.failed else ''
     return Verdict(fault=fault, sentences=(f'{outside}{whose}', where, sure))
 
 
@@ -337,4 +337,15 @@ def _interval(share: Rate) -> str:
     return f'95 % interval {100 * share.low:.0f}–{100 * share.high:.0f} %'
 
 
-environment(_FOLDER).filters['interval'] = _interval
+_NOT_DONE = {
+    'causes': 'No cause can be named:', 'localize': 'Whose fault it is was not examined:',
+    'explain': 'The pictures were not examined:', 'shrink': 'The run was not shrunk:',
+    'confirm': 'No experiment was made:',
+}
+
+
+def _not_done(stage: str) -> str:
+    return _NOT_DONE.get(stage.partition('-')[0], f'{stage} was not done:')
+
+
+environment(_FOLDER).filters.update(interval=_interval, stage=_not_done)

@@ -100,7 +100,7 @@ class SceneSet:
         return {
             'system': trials_digest(self.system, self.judging),
             'scenes': digest_of([
-                [scene.row.run_id, repr(scene.scenario)] for scene in self.scenes
+                [scene.row.run_id, scene.scenario.recorded_text] for scene in self.scenes
             ]),
         }
 

@@ -18,15 +18,15 @@ from taxinet_ros.analysis.campaign.findings import analyse, compare
 from taxinet_ros.analysis.campaign.folder import check_folder, write_analysis
 from taxinet_ros.analysis.campaign.report import TEXT, campaign_report
 from taxinet_ros.analysis.causes.causes import find_causes
-from taxinet_ros.analysis.causes.clusters import find_clusters, principal_axes
-from taxinet_ros.analysis.causes.predictors import grow_tree, rank_features, rounded_ends
+from taxinet_ros.analysis.causes.clusters import find_clusters
+from taxinet_ros.analysis.causes.predictors import rank_features
 from taxinet_ros.analysis.experiment.pairs import paired_rates
 from taxinet_ros.analysis.report import page as report_page
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT
 from taxinet_ros.analysis.report.text import sentences
 from taxinet_ros.analysis.runs.bins import bins, medians
 from taxinet_ros.analysis.runs.campaign import difference, distinct_labels
-from taxinet_ros.analysis.runs.features import PAPER_FEATURES, RAIN, TIME_OF_DAY
+from taxinet_ros.analysis.runs.features import PAPER_FEATURES, TIME_OF_DAY
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import read_sealed
 
@@ -190,12 +190,12 @@ def test_given_findings_then_every_table_has_its_columns_and_names_are_unique(fi
     report = campaign_report(findings)
     tables = tables_of(report)
     assert {'rates', 'rates_by_feature', 'causes', 'feature_ranking', 'counterexamples',
-            'clusters', 'principal_axes', 'tree_rules'} == set(tables)
+            'clusters'} == set(tables)
     for table in tables.values():
         assert table.rows, table.name
         assert {len(row) for row in table.rows} == {len(table.columns)}, table.name
     names = draw_all(report, LIGHT)
-    assert len(names) == len(set(names)) == 6
+    assert len(names) == len(set(names)) == 4
     assert len({section.name for section in report.sections}) == len(report.sections)
     rates = tables['rates_by_feature']
     for feature in PAPER_FEATURES:
@@ -238,7 +238,7 @@ def test_given_bags_then_only_failures_with_one_are_to_be_looked_at(tmp_path):
 def test_given_few_or_odd_runs_then_there_is_a_whole_report(tmp_path, count, columns, said):
     report = campaign_report(analyse(planted_runs(
         planted_table(count, 2, early, **columns), tmp_path)))
-    assert len(draw_all(report, DARK)) >= 5
+    assert len(draw_all(report, DARK)) == 3
     json.dumps([table.rows for table in tables_of(report).values()], allow_nan=False)
     assert said in ' '.join(report.summary)
     assert 'no failure' in report.summary[1] or 'too few' in report.summary[1]
@@ -316,32 +316,6 @@ def test_given_two_kinds_of_failures_then_they_are_grouped_and_described(tmp_pat
     assert 'start on the first 3' in dusk
     for one in clusters.found:
         assert one.typical in one.runs
-    first = principal_axes(runs.frame)[0]
-    assert abs(first.loadings['time_of_day_h']) > 0.6
-    assert abs(first.loadings['distance_m']) > 0.6
-    assert first.loadings['time_of_day_h'] * first.loadings['distance_m'] < 0
-    shares = [axis.explained for axis in principal_axes(runs.frame)]
-    assert sum(shares) == pytest.approx(1)
-
-
-def test_given_a_simple_rule_then_the_tree_says_it(tmp_path):
-    runs = planted_runs(planted_table(800, 5, early), tmp_path)
-    tree = grow_tree(runs)
-    assert tree is not None
-    assert tree.depth == 1
-    assert tree.rules[0].region.words() == 'before 08:00'
-    assert sum(rule.rate.runs for rule in tree.rules) == 800
-    assert tree.accuracy > tree.guess + 0.05
-    assert grow_tree(planted_runs(planted_table(20, 5, early), tmp_path)) is None
-
-
-@pytest.mark.parametrize(('below', 'above', 'ends'), [
-    (24.2, 30.7, (25.0, 30.0)), (25.3, 25.9, (25.6, 25.6)), (0.0, 25.3, (0.0, 25.0)),
-])
-def test_given_the_sides_of_a_split_then_their_words_do_not_overlap(below, above, ends):
-    assert rounded_ends(RAIN, below, above) == pytest.approx(ends)
-    most, least = rounded_ends(RAIN, below, above)
-    assert below <= most <= least <= above
 
 
 def test_given_few_runs_then_the_hours_of_a_map_end_where_the_runs_do(tmp_path):

@@ -329,7 +329,8 @@ def test_t6_given_slanted_crossed_and_round_causes_when_looked_for_then_they_are
     one, *_ = causes_of(tmp_path, crossed, runs=600).found
     (either,) = one.region.parts
     assert isinstance(either, Either)
-    assert 'not both' in one.region.words()
+    first, second = (part.words() for part in either.either)
+    assert one.region.words() == f'{first} and not {second}, or {second} and not {first}'
     hours = np.random.default_rng(1).uniform(0, 24, 600)
     (one,) = causes_of(tmp_path, night, runs=600, time_of_day_h=hours).found
     (part,) = one.region.parts

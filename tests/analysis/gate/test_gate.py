@@ -106,7 +106,7 @@ def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_a
     broken = [row(100 + number, Outcome.INFRA_ERROR, kind='died') for number in range(2)]
     strict = gate_result([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5))
     assert strict.verdict is Verdict.FAIL
-    assert strict.criteria[-1].name == 'broken by the bench <= 0'
+    assert strict.criteria[-1].name == 'runs broken by the bench: at most 0'
     assert (strict.judged, strict.counts[Outcome.INFRA_ERROR]) == (100, 2)
     lenient = gate_result([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5, max_infra=2))
     assert lenient.verdict is Verdict.PASS
@@ -264,7 +264,7 @@ def test_given_a_campaign_then_each_criterion_is_a_test_case_and_each_run_a_prop
                             'skipped': '0', 'time': '12.000'}
     cases = {case.get('name'): case for case in suite.findall('testcase')}
     assert list(cases) == [
-        'satisfied >= 0.9', 'off the runway <= 0.01', 'broken by the bench <= 0']
+        'satisfied >= 0.9', 'off the runway <= 0.01', 'runs broken by the bench: at most 0']
     names = properties(suite)
     assert (names['gate'], names['judged'], names['INFRA_ERROR']) == ('FAIL', '3', '1')
     assert [value for name, value in names.items() if name.startswith('run ')] == [
@@ -277,7 +277,7 @@ def test_given_a_campaign_then_each_criterion_is_a_test_case_and_each_run_a_prop
     assert "; run run-1 again: taxinet run --from 'c d/run-1'" in against['run run-1']
     assert '--set crossing=on' in against['run run-2']
     assert list(properties(cases['off the runway <= 0.01'])) == ['run run-1']
-    assert list(properties(cases['broken by the bench <= 0'])) == ['run run-3']
+    assert list(properties(cases['runs broken by the bench: at most 0'])) == ['run run-3']
 
 
 def properties(case: ElementTree.Element) -> dict[str, str]:

@@ -71,7 +71,7 @@ def test_given_a_baseline_then_worse_scenes_fail_it_and_are_named_with_runs_and_
     assert lines[-1] == '  next: taxinet compare before after'
     (suite,) = ElementTree.parse(tmp_path / 'gate.xml').getroot()
     assert [case.get('name') for case in suite.findall('testcase')] == [
-        'no worse than the baseline, margin 0.05', 'broken by the bench <= 0']
+        'no worse than the baseline, margin 0.05', 'runs broken by the bench: at most 0']
     worse, _ = suite.findall('testcase')
     assert [one.get('name') for one in worse.iter('property')] == [
         f'run nominal-s7-0000{n}' for n in range(1, 8)]

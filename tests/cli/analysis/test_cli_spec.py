@@ -20,9 +20,9 @@ def test_people2_given_requirements_then_each_is_told_as_understood_and_warned_o
     code, out, err = call(capsys, *words)
     assert (code, err) == (0, '')
     assert out.splitlines() == [
-        'phi_eventually: at some time from 0 s to 10 s: always from then on: |cte| <= 1.5 m; '
+        'phi_eventually: within 1.5 m of the centreline from 10 s at the latest to the end; '
         'cte within ±240 m; horizon 30 s',
-        'gentle: always over the run: |steering| <= 0.3 rad (17.19 deg); '
+        'gentle: |steering| <= 0.3 rad (17.19 deg) all the time; '
         'steering within ±0.261799 rad (15 deg); horizon 30 s',
         'warning: gentle: no run can violate it: |steering| <= 0.3 rad (17.19 deg) always holds '
         '(steering within ±0.261799 rad (15 deg))',
@@ -39,7 +39,7 @@ def test_people2_given_the_controllers_gains_and_a_length_then_they_count(capsys
     )
     assert code == 0
     assert out == (
-        'gentle: always over the run: |steering| <= 0.3 rad (17.19 deg); '
+        'gentle: |steering| <= 0.3 rad (17.19 deg) all the time; '
         'steering within ±0.5 rad (28.65 deg); horizon 12 s\n'
     )
 

@@ -99,7 +99,8 @@ def test_given_a_run_that_the_network_lost_in_rain_then_the_rain_is_found_and_co
     verdict = judge(found)
     assert verdict.fault is Fault.NETWORK
     assert 'the failed run, driven again' in verdict.sentences[0]
-    assert verdict.sentences[0].startswith('original was trained with clouds cirrus, clear')
+    assert verdict.sentences[0].startswith(
+        'The network original was trained with clouds cirrus, clear')
 
 
 @pytest.mark.parametrize(('offset_m', 'specs', 'options', 'blames', 'fault', 'done', 'said'), [
@@ -121,7 +122,7 @@ def test_given_a_run_driven_by_the_truth_then_what_is_at_fault_is_found(
     assert said in whose
     assert not done or 'no network to examine' in found.troubles['explain']
     # Its share is few runs.
-    assert not options or where.startswith('Shrinking ended before it was minimal')
+    assert not options or where.startswith('The scene may not be the plainest that fails')
 
 
 def test_given_a_campaign_whose_runs_are_all_lost_at_once_then_no_network_is_blamed(
@@ -259,7 +260,7 @@ def test_what_shrinking_found_is_told_in_sentences():
     assert said_of(two)[-1].startswith('Rain: the original fails without it too')
     unknown = {'rain_percent': {**rain, 'matters': None}}
     (spent,) = said_of({**two, 'end': 'spent', 'parameters': unknown})
-    assert spent.startswith('Shrinking ended before it was minimal')
+    assert spent.startswith('The scene may not be the plainest that fails')
     assert said_of({**two, 'end': 'interrupted', 'parameters': unknown}) == (
         'Which parameters matter is not known yet.',)
     (nothing,) = said_of({**two, 'parameters': {'rain_percent': {**rain, 'matters': False}}})

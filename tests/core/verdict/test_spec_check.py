@@ -23,7 +23,8 @@ GAINS = SteeringGains()
 
 
 def understood(text: str, duration_s: float = 30.0) -> str:
-    return check_specs([parse_spec(text)], Scenario(duration_s=duration_s), GAINS).lines[0]
+    found = check_specs([parse_spec(text)], Scenario(duration_s=duration_s), GAINS)
+    return f'{found.lines[0]}; {found.reaches[0]}'
 
 
 def warned(text: str, duration_s: float = 30.0, gains: SteeringGains | None = GAINS) -> list[str]:
@@ -146,7 +147,7 @@ def test_people2_attack_given_logic_that_settles_itself_when_looked_at_then_it_w
 
 def test_people2_attack_given_a_negative_angle_when_told_then_its_degrees_are_negative() -> None:
     assert understood('a=always(he >= -10 deg)').startswith(
-        'a: always over the run: he >= -0.174533 rad (-10 deg); '
+        'a: he >= -0.174533 rad (-10 deg) all the time; '
     )
     assert 'he + (-0.174533 rad (-10 deg)) <= 1 rad' in understood('a=he + (-10 deg) <= 1')
 

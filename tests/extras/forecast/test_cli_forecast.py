@@ -149,7 +149,7 @@ def test_given_runs_of_others_then_they_are_outside_the_guarantee_by_name(
     assert outside_of_run(forecast, open_recording(bag), campaign) == []
     own = folders / 'cal' / sorted(forecast.runs)[0]
     (why,) = outside_of_run(forecast, open_recording(own), open_campaign(folders / 'cal'))
-    assert why == 'it was calibrated on, so it tells nothing about new runs'
+    assert why == 'this run was used for the calibration'
     alone = tmp_path / bag.name
     shutil.copytree(bag, alone)
     (why,) = outside_of_run(forecast, open_recording(alone), None)

@@ -84,7 +84,7 @@ def test_given_evidence_then_the_fault_is_what_it_shows(values, fault):
 def test_what_the_network_was_not_trained_in_is_said_first():
     outside = 'original was trained with camera wing; scenes here have camera nose'
     whose, *_ = judge(evidence(blames=Blames(network=16), outside=outside)).sentences
-    assert whose.startswith(f'{outside}. The network original is at fault')
+    assert whose.startswith(f'The network {outside}. The network original is at fault')
     passed, *_ = judge(evidence(failed=0, outside=outside)).sentences
     assert outside not in passed
 
