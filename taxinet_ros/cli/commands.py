@@ -98,6 +98,10 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'Show how requirements are parsed, and warn of likely mistakes.',
         ),
         'evaluate': ('training.evaluate:evaluate', "Measure a network's errors on single frames."),
+        'score': (
+            'analysis.score:score',
+            'Score networks on recordings: errors against where the aircraft really was.',
+        ),
     },
     'Train': {
         'dataset': ('training.dataset:dataset', 'Render labelled training images of scenes.'),

@@ -68,6 +68,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),
     'spec': ("taxinet spec 'always[10 s:inf](abs(steering) <= 3 deg)'",),
     'evaluate': ('taxinet evaluate s_falsif --perception taxinet --images 500',),
+    'score': (
+        'taxinet score --topics drive',
+        'taxinet score drive --place kmwh_04 --image /camera/image_raw --truth /fix --heading /imu',
+        'taxinet score drive --place mine.yaml --perception mine.onnx --against taxinet --out scored',
+    ),
     'dataset': ('taxinet dataset training_full --count 5000 --out bags/pictures',),
     'train': (
         'taxinet train training_full --images 20000 --out mine.safetensors',
