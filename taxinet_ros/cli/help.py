@@ -71,7 +71,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'score': (
         'taxinet score --topics drive',
         'taxinet score drive --place kmwh_04 --image /camera/image_raw --truth /fix --heading /imu',
-        'taxinet score drive --place mine.yaml --perception mine.onnx --against taxinet --out scored',
+        'taxinet score drive --place mine.yaml --perception mine.onnx --against taxinet --out out',
     ),
     'dataset': ('taxinet dataset training_full --count 5000 --out bags/pictures',),
     'train': (

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,17 +39,21 @@ from taxinet_ros.recordings.reader import (
 from taxinet_ros.recordings.truth import (
     RUNWAY,
     STANDING_MPS,
+    Leap,
     Truth,
     TruthReader,
     TruthSource,
+    find_leap,
     in_order,
-    leaps,
 )
 
 SCORED, NO_TRUTH, STANDING = 'scored', 'no truth', 'standing still'
 NO_HEADING, OFF_PLACE = 'no heading', 'off the place'
 OUT_OF_ORDER, NO_PICTURE = 'out of order', 'no picture'
-STATUSES = SCORED, NO_TRUTH, NO_HEADING, STANDING, OFF_PLACE, OUT_OF_ORDER, NO_PICTURE
+AFTER_LEAP = 'after a leap of the clock'
+STATUSES = (
+    SCORED, NO_TRUTH, NO_HEADING, STANDING, OFF_PLACE, OUT_OF_ORDER, AFTER_LEAP, NO_PICTURE,
+)
 """What can be said of a frame; only the first is compared with the truth."""
 
 _BESIDE_M, _BEYOND_M = 10.0, 60.0
@@ -96,7 +101,6 @@ class Frames:
         unread: reasons for pictures that cannot be read, with their number.
         cameras: frame ids of the pictures, with their number.
         notes: likely mistakes.
-        shape: of the pictures.
     """
 
     recording: Recording
@@ -108,7 +112,11 @@ class Frames:
     unread: Counter[str] = field(default_factory=Counter)
     cameras: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
-    shape: tuple[int, ...] = ()
+
+    @cached_property
+    def leap(self) -> Leap:
+        """Leap of the clock of the pictures."""
+        return find_leap('pictures', self.stamps_ns.tolist(), self.logged_ns.tolist())
 
 
 def own_scenario(recording: Recording) -> Scenario | None:
@@ -187,7 +195,7 @@ def read_frames(
     infos = set(recording.of_type((CAMERA_INFO,)))
     rows: list[tuple[int, int, float, tuple[float, ...]]] = []
     unread, cameras, notes = Counter[str](), Counter[str](), list[str]()
-    total, shape = recording.counts[setup.image], ()
+    total = recording.counts[setup.image]
     for topic, log_ns, message in recording.decoded({setup.image, *reader.topics, *infos}):
         if topic in reader.topics:
             reader.add(topic, log_ns, message)
@@ -205,7 +213,6 @@ def read_frames(
                 unread[str(error)] += 1
                 rows.append((stamp_ns, log_ns, math.nan, nothing))
                 continue
-            shape = pixels.shape
             every = slice(None, None, _BRIGHTNESS_EVERY)
             rows.append((
                 stamp_ns, log_ns, float(pixels[every, every].mean()),
@@ -218,7 +225,7 @@ def read_frames(
         recording=recording, stamps_ns=np.array(columns[0], np.int64),
         logged_ns=np.array(columns[1], np.int64), brightness=np.array(columns[2], np.float64),
         estimates=estimates.transpose(1, 0, 2), truth=reader.finish(), unread=unread,
-        cameras=cameras, notes=notes, shape=shape,
+        cameras=cameras, notes=notes,
     )
 
 
@@ -320,6 +327,7 @@ def _statuses(
     found[off] = OFF_PLACE
     found[np.isnan(cte)] = NO_TRUTH
     found[~in_order(frames.stamps_ns)] = OUT_OF_ORDER
+    found[frames.leap.number:] = AFTER_LEAP
     found[np.isnan(frames.brightness)] = NO_PICTURE
     return found
 
@@ -348,7 +356,7 @@ def dated(stamps_ns: NDArray[np.int64]) -> bool:
 
 def time_notes(frames: Frames, image: str) -> list[str]:
     """Likely mistakes in the times of pictures and truth, one line each."""
-    notes = leaps(image, frames.stamps_ns.tolist(), frames.logged_ns.tolist())
+    notes = [frames.leap.note] if frames.leap.note else []
     own, stamps = frames.truth.stamps_ns, frames.stamps_ns
     if not len(stamps) or not len(own):
         return notes
@@ -419,7 +427,7 @@ def truth_of(row: Any) -> TrackingError:
 def proposals(path: Path) -> list[tuple[str, str, int, str]]:
     """Topic, type, number of messages and option of all topics of a bag that can be used."""
     recording = Recording(path)
-    options = {kind: '--image' for kind in IMAGES} | dict.fromkeys(TRUTHS, '--truth')
+    options = dict.fromkeys(IMAGES, '--image') | dict.fromkeys(TRUTHS, '--truth')
     options |= {'sensor_msgs/msg/Imu': '--heading', CAMERA_INFO: 'checks --camera'}
     options |= dict.fromkeys(('nav_msgs/msg/Odometry', 'geometry_msgs/msg/PoseStamped'),
                              '--truth, --heading')

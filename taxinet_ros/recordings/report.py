@@ -27,7 +27,7 @@ from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
-from taxinet_ros.recordings.score import NOTABLE_LATENCY_S, QUANTITIES, Score, row_pictures
+from taxinet_ros.recordings.score import NOTABLE_LATENCY_S, QUANTITIES, Score, cell, row_pictures
 from taxinet_ros.recordings.statistics import Mean
 
 FRAMES_NAME, JSON_NAME, PAGE_NAME = 'frames.parquet', 'score.json', 'score.html'
@@ -162,8 +162,8 @@ def _worst_table(found: Score) -> Table:
         name='score-worst', title='The worst frames', caption='Left positive.',
         columns=(Column(name='bag', title='bag'), *(
             Column(name=name, title=name.replace('_', ' '), decimals=2) for name in names)),
-        rows=tuple((Path(found.table.at[row, 'bag']).name, *(
-            float(found.table.at[row, name]) for name in names)) for row in found.worst))
+        rows=tuple((Path(cell(found.table, row, 'bag')).name, *(
+            float(cell(found.table, row, name)) for name in names)) for row in found.worst))
 
 
 def _path_picture(found: Score, quantity: str) -> Picture:
@@ -209,7 +209,7 @@ def _draw_frames(
     for axes in grid.flat:
         axes.set_axis_off()
     for axes, row in zip(grid.flat, shown, strict=False):
-        at = found.table.loc[row]
+        at: Any = found.table.loc[row]
         axes.imshow(pictures[row])
         axes.set_title(
             f'{at["t_s"]:.1f} s: {at["cte_m"]:+.1f} m, {at["est_cte_m"]:+.1f} m', fontsize=8,

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ from taxinet_ros.core.trace import trace_signals
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import (
+    AFTER_LEAP,
+    OUT_OF_ORDER,
     SCORED,
     STATUSES,
     Frames,
@@ -66,12 +69,13 @@ _LONGEST_GAP_S = 0.5
 NOTABLE_LATENCY_S = 0.04
 _WORST_APART_S = 1.0
 _FLIPPED = 40
-_SCALES = {
-    'he': ((math.degrees(1), 'its heading error is in degrees, expected rad'),
-           (math.radians(1), 'its heading error is multiplied by pi/180 once too often')),
-    'cte': ((1 / 0.3048, 'its cross-track error is in feet, expected m'),
-            (0.3048, 'the truth, or its training, is in feet, not m')),
-}
+_SCALES = (
+    ((1 / 0.3048, 'its cross-track error is in feet, expected m'),
+     (0.3048, 'the truth, or its training, is in feet, not m')),
+    ((math.degrees(1), 'its heading error is in degrees, expected rad'),
+     (math.radians(1), 'its heading error is multiplied by pi/180 once too often')),
+)
+"""Of cross-track and heading error: what the scale of the estimates would be, and why."""
 _SCALE_SHARE = 0.2
 _CLEAR_CORRELATION = 0.8
 
@@ -225,8 +229,10 @@ def score(options: ScoreOptions, progress: Progress = lambda *_: None) -> Score:
     setup = make_setup(options, recordings[0], scenario)
     perceptions = prepared(setup.networks, setup.rig)
     bags = [read_frames(one, setup, perceptions, progress) for one in recordings]
-    latency = estimate_latency(
-        [(one.truth, one.stamps_ns, one.estimates[0]) for one in bags], setup.track)
+    latency = estimate_latency([
+        (one.truth, one.stamps_ns[:one.leap.number], one.estimates[0, :one.leap.number])
+        for one in bags
+    ], setup.track)
     applied_s = _applied(options.latency, latency)
     table = pd.concat(
         [frame_table(one, setup, applied_s) for one in bags], ignore_index=True)
@@ -349,7 +355,12 @@ def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
         name: np.stack([kept[f'{column}{end}'].abs().to_numpy(np.float64) for end in ends])
         for name, (_, _, column) in QUANTITIES.items()
     }
-    blocks, alike = blocks_of(np.concatenate([*absolute.values()]), stretches(kept))
+    groups = stretches(kept)
+    blocks, alike = blocks_of(np.concatenate([*absolute.values()]), groups)
+    differences = {quantity: columns[0] - columns[1] for quantity, columns in absolute.items()
+                   if networks > 1}
+    # Errors that both networks share are not in the difference, which is less correlated.
+    paired = {quantity: blocks_of(one[None], groups)[0] for quantity, one in differences.items()}
     rows = []
     for kind, name, mask in _masks(kept):
         errors = {
@@ -357,9 +368,9 @@ def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
             for quantity, columns in absolute.items()
         }
         better = {
-            quantity: block_mean(np.where(mask, columns[0] - columns[1], np.nan), blocks)
-            for quantity, columns in absolute.items()
-        } if networks > 1 else {}
+            quantity: block_mean(np.where(mask, one, np.nan), paired[quantity])
+            for quantity, one in differences.items()
+        }
         rows.append(Slice(kind=kind, name=name, errors=errors, better=better))
     return rows, alike
 
@@ -378,10 +389,15 @@ def _masks(kept: pd.DataFrame) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
         ('heading', 'deg', kept['heading_error_deg'].abs(), np.array([0, 2, 10, 180])),
     ]
     for kind, unit, values, limits in parts:
-        for low, high in zip(limits[:-1], limits[1:], strict=True):
+        for low, high in pairwise(limits):
             mask = ((values >= low) & (values < high)).to_numpy(np.bool_)
             if mask.any():
                 yield kind, f'{low:g} to {high:g} {unit}', mask
+
+
+def cell(table: pd.DataFrame, row: int, column: str) -> Any:
+    """Value of a row and column of the table of frames."""
+    return table[column].to_numpy()[row]
 
 
 def worst_rows(table: pd.DataFrame) -> list[int]:
@@ -392,8 +408,8 @@ def worst_rows(table: pd.DataFrame) -> list[int]:
          for _, _, column in QUANTITIES.values()), start=pd.Series(0.0, index=kept.index))
     found: list[int] = []
     for row in size.dropna().sort_values(ascending=False, kind='stable').index:
-        stamp, bag = table.at[row, 'stamp_ns'], table.at[row, 'bag']
-        if all(table.at[other, 'bag'] != bag or abs(table.at[other, 'stamp_ns'] - stamp)
+        stamp, bag = cell(table, row, 'stamp_ns'), cell(table, row, 'bag')
+        if all(cell(table, other, 'bag') != bag or abs(cell(table, other, 'stamp_ns') - stamp)
                >= _WORST_APART_S * NS_PER_S for other in found):
             found.append(int(row))
         if len(found) == WORST:
@@ -403,7 +419,7 @@ def worst_rows(table: pd.DataFrame) -> list[int]:
 
 def path_verdicts(table: pd.DataFrame, spec: Spec) -> Iterator[PathVerdict]:
     """Judge a requirement on each uninterrupted stretch of the recorded path."""
-    known = table[np.isfinite(table['cte_m']) & (table['status'] != 'out of order')]
+    known = table[np.isfinite(table['cte_m']) & ~table['status'].isin([OUT_OF_ORDER, AFTER_LEAP])]
     known = known.reset_index(drop=True)
     for _, part in known.groupby(stretches(known), sort=True):
         stamps = part['stamp_ns'].to_numpy(np.int64)
@@ -441,11 +457,11 @@ def _pairs(kept: pd.DataFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 def _scale_notes(
     estimates: NDArray[np.float64], truth: NDArray[np.float64], network: str
-) -> Iterator[str] | list[str]:
+) -> list[str]:
     """A line for each quantity whose scale is that of another unit."""
     known = np.isfinite(estimates).all(axis=1)
     notes = []
-    for column, quantity in enumerate(_SCALES):
+    for column, reasons in enumerate(_SCALES):
         seen, real = estimates[known, column], truth[known, column]
         if len(seen) < WORST or seen.std() == 0 or real.std() == 0:
             continue
@@ -454,7 +470,7 @@ def _scale_notes(
         scale = float(seen.std() / real.std())
         notes += [
             f'{network}: estimates are {scale:.3g} times the truth: {why}'
-            for factor, why in _SCALES[quantity] if abs(scale / factor - 1) < _SCALE_SHARE
+            for factor, why in reasons if abs(scale / factor - 1) < _SCALE_SHARE
         ]
     return notes
 
@@ -468,7 +484,7 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
         return f'{begun}: the signs of truth or network; left is positive'
     errors: list[tuple[float, float]] = []
     for row, pixels in _spread_pictures(found, _FLIPPED):
-        truth = found.table.at[row, 'cte_m']
+        truth = float(cell(found.table, row, 'cte_m'))
         seen = [next(estimates_of(one, perceptions, found.setup.rig))
                 for one in (pixels, np.ascontiguousarray(pixels[:, ::-1]))]
         errors.append((abs(seen[0] - truth), abs(seen[1] - truth)))
@@ -492,8 +508,8 @@ def row_pictures(found: Score, rows: Sequence[int]) -> Iterator[tuple[int, NDArr
     """Row and picture of some rows of the table, bag by bag in the order of recording."""
     for frames in found.bags:
         own = {
-            int(found.table.at[row, 'number']): row for row in rows
-            if found.table.at[row, 'bag'] == str(frames.recording.path)
+            int(cell(found.table, row, 'number')): row for row in rows
+            if cell(found.table, row, 'bag') == str(frames.recording.path)
         }
         for number, pixels in pictures_of(frames, found.setup.image, list(own)):
             yield own[number], pixels
@@ -514,8 +530,8 @@ def _watch(found: Score, word: str) -> Alarms:
     before = -1
     monitor.begin(scenario)
     for row, pixels in row_pictures(found, _ten_a_second(found.table)):
-        at = found.table.loc[row]
-        if before < 0 or found.table.at[before, 'bag'] != at['bag']:
+        at: Any = found.table.loc[row]
+        if before < 0 or cell(found.table, before, 'bag') != at['bag']:
             monitor.begin(scenario)
         before = row
         scores = monitor.scores(Seen(

@@ -29,6 +29,7 @@ _BLOCKS_PER_TIME = 5
 _MOST_LAG = 200
 _LATEST_S, _STEP_S = 1.0, 0.02
 _WIDEST_S = 0.3
+_LATENCY_BLOCKS = 10
 _LEAST_GAIN = 10.0
 """Least difference of twice the log-likelihood between the best latency and the worst one."""
 
@@ -80,16 +81,17 @@ def correlation_frames(errors: Floats, groups: NDArray[np.int64]) -> float:
 
 
 def blocks_of(
-    columns: NDArray[np.float64], groups: NDArray[np.int64]
+    columns: NDArray[np.float64], groups: NDArray[np.int64], least: int = 1
 ) -> tuple[NDArray[np.int64], float]:
     """The block of each frame, numbered from 0, and how many frames count as one.
 
     Args:
         columns: (k, n) errors of several quantities; the most correlated one counts.
         groups: (n,) number of the uninterrupted stretch of each frame, ascending.
+        least: number of blocks, where there would be fewer.
     """
     alike = max((correlation_frames(column, groups) for column in columns), default=1.0)
-    size = max(1, math.ceil(_BLOCKS_PER_TIME * alike))
+    size = max(1, min(math.ceil(_BLOCKS_PER_TIME * alike), len(groups) // least))
     blocks = np.zeros(len(groups), np.int64)
     number = 0
     for group in np.unique(groups):
@@ -179,17 +181,17 @@ def _best_shift(
     unknown = Latency(math.nan, math.nan, math.nan)
     if count < 50:
         return unknown._replace(why=f'{count} frames between samples of the truth, too few')
-    residual = _residuals(shifted[len(shifts) // 2], estimates)
-    blocks, alike = blocks_of(residual.T, groups)
+    whole = _likelihood(_block_sums(shifted, estimates, np.zeros(count, np.int64))[..., 0])
+    best = _peak(shifts, whole)
+    place = (best - shifts[0]) / _STEP_S
+    low = min(int(place), len(shifts) - 2)
+    here = shifted[low] + (place - low) * (shifted[low + 1] - shifted[low])
+    blocks, alike = blocks_of(_residuals(here, estimates).T, groups, _LATENCY_BLOCKS)
     number = int(blocks.max()) + 1
-    if number < LEAST_BLOCKS:
-        return unknown._replace(why='its frames are too much alike')
-    terms = _block_sums(shifted, estimates, blocks)
-    curve = _likelihood(terms.sum(axis=2))
     # Correlated frames count as fewer.
-    if (curve.max() - curve.min()) / alike < _LEAST_GAIN:
+    if (whole.max() - whole.min()) / alike < _LEAST_GAIN:
         return unknown._replace(why='the aircraft hardly turns or drifts')
-    best = _peak(shifts, curve)
+    terms = _block_sums(shifted, estimates, blocks)
     rng = np.random.default_rng(0)
     drawn = rng.multinomial(number, np.full(number, 1 / number), 400).astype(np.float64)
     found = [_peak(shifts, _likelihood(terms @ weights)) for weights in drawn]

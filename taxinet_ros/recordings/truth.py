@@ -140,6 +140,7 @@ class _Samples:
         self.logged: list[int] = []
         self.values: list[tuple[float, ...]] = []
         self.left_out: Counter[str] = Counter()
+        self.leap = Leap(0, '')
 
     def add(self, stamp_ns: int, log_ns: int, values: tuple[float, ...]) -> None:
         if not all(map(math.isfinite, values)):
@@ -150,8 +151,12 @@ class _Samples:
         self.values.append(values)
 
     def ascending(self) -> tuple[NDArray[np.int64], Floats]:
-        """Stamps and values in the order of time; what goes back is left out."""
-        stamps, values = np.array(self.stamps, np.int64), np.array(self.values, np.float64)
+        """Stamps and values in the order of time, up to a leap; what goes back is left out."""
+        self.leap = find_leap(self.name, self.stamps, self.logged)
+        end = self.leap.number
+        stamps, values = np.array(self.stamps[:end], np.int64), np.array(self.values[:end], float)
+        if count := len(self.stamps) - end:
+            self.left_out['after a leap of the clock'] += count
         kept = in_order(stamps)
         if count := int((~kept).sum()):
             self.left_out['out of order'] += count
@@ -165,19 +170,31 @@ def in_order(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.concatenate([[True], stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]])
 
 
-def leaps(name: str, stamps: Sequence[int], logged: Sequence[int]) -> list[str]:
-    """A line if the clock of the stamps leaps against that of the recorder."""
-    if len(stamps) < 2:
-        return []
-    steps = (np.diff(np.array(stamps, np.int64)) - np.diff(np.array(logged, np.int64))) / NS_PER_S
-    at = int(np.abs(steps).argmax())
-    if abs(steps[at]) < _LEAP_S:
-        return []
-    return [
-        f'{name}: its clock leaps by {steps[at]:+.1f} s at message {at + 1}: a clock that was set, '
-        'or several recordings in one; cut the bag there, or use the times of recording '
-        '(--stamps log)'
-    ]
+class Leap(NamedTuple):
+    """A leap of the clock of stamps against that of the recorder.
+
+    Attributes:
+        number: first message after it; of no leap the number of messages.
+        note: one line, or ''.
+    """
+
+    number: int
+    note: str
+
+
+def find_leap(name: str, stamps: Sequence[int], logged: Sequence[int]) -> Leap:
+    """The first leap; messages lost or a pause of the recorder are none."""
+    steps, recorded = (np.diff(np.array(one, np.int64)) / NS_PER_S for one in (stamps, logged))
+    if not len(steps):
+        return Leap(len(stamps), '')
+    leapt = (np.abs(steps - recorded) > _LEAP_S) & (np.abs(steps - np.median(steps)) > _LEAP_S)
+    if not leapt.any():
+        return Leap(len(stamps), '')
+    at = int(leapt.argmax())
+    return Leap(at + 1, (
+        f'{name}: its clock leaps by {steps[at] - recorded[at]:+.1f} s at message {at + 1}, and '
+        'what comes after it is not used: a clock that was set, or several recordings in one; use '
+        'the times of recording (--stamps log)'))
 
 
 class TruthReader:
@@ -222,6 +239,7 @@ class TruthReader:
             self._headings.add(stamp_ns, log_ns, (_yaw(turned),))
 
     def _add_position(self, stamp_ns: int, log_ns: int, message: Any) -> None:
+        values: tuple[float, ...]
         if self._kind == FIX:
             if message.status.status < 0 or not (message.latitude or message.longitude):
                 self._positions.left_out['no fix'] += 1
@@ -249,7 +267,6 @@ class TruthReader:
         if self._kind == TRANSFORMS:
             self._join_links()
         positions = self._positions
-        notes = leaps(positions.name, positions.stamps, positions.logged)
         stamps, values = positions.ascending()
         if len(stamps) < 2:
             why = ', '.join(f'{count} {name}' for name, count in positions.left_out.items())
@@ -262,6 +279,7 @@ class TruthReader:
         else:
             x, y, yaw = self._of_poses(values, heading)
         raw = _motion(stamps, x, y, yaw)
+        notes = [one.leap.note for one in (positions, self._headings) if one.leap.note]
         notes += self._convention_notes(raw, yaw)
         if self.source.heading == TRACK or (self._kind == FIX and not self._heading_topic):
             yaw = np.where(raw.speed_mps >= 2 * STANDING_MPS, raw.yaw_rad, np.nan)
@@ -349,13 +367,14 @@ class TruthReader:
         name = self._heading_topic or self.source.topic_name
         if scatter < _SCATTER_RAD and abs(off) <= _AGREES_RAD:
             return []
-        bearing = self._runway.bearing_rad
-        # Read in the other convention: enu yaw a is heading 90 deg - a; compass yaw is a itself.
-        other = bearing - (math.pi / 2 - (bearing - yaw))
+        # Read in the other convention: yaw a of enu is heading 90 deg - a, that of compass a.
+        other = 2 * self._runway.bearing_rad - math.pi / 2 - yaw
         other_off, other_scatter = mean_angle(other[straight] - moved.yaw_rad[straight])
         found = f'{name}: the heading is {math.degrees(off):+.0f} deg off the direction of motion'
         north = self._heading_topic or self.source.frame != RUNWAY
-        if north and other_scatter < _SCATTER_RAD and abs(other_off) <= _AGREES_RAD:
+        # Of a path that turns, the wrong convention turns the other way.
+        if north and other_scatter < _SCATTER_RAD and abs(other_off) <= _AGREES_RAD and (
+                other_scatter < 1.5 * scatter):
             now = 'enu' if self.source.compass else 'compass'
             return [f'{found}: it is of the other convention; read it with --heading-is {now}']
         if scatter < _SCATTER_RAD and abs(abs(off) - math.pi) <= _QUARTER_RAD:
