@@ -27,6 +27,7 @@ LEAST_BLOCKS = 5
 """Fewer blocks than these give no interval."""
 _BLOCKS_PER_TIME = 5
 _MOST_LAG = 200
+_MOST_BLOCKS = 400
 _LATEST_S, _STEP_S = 1.0, 0.02
 _WIDEST_S = 0.3
 _LATENCY_BLOCKS = 10
@@ -92,6 +93,7 @@ def blocks_of(
     """
     alike = max((correlation_frames(column, groups) for column in columns), default=1.0)
     size = max(1, min(math.ceil(_BLOCKS_PER_TIME * alike), len(groups) // least))
+    size = max(size, math.ceil(len(groups) / _MOST_BLOCKS))  # more take time and change nothing
     blocks = np.zeros(len(groups), np.int64)
     number = 0
     for group in np.unique(groups):

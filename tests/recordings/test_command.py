@@ -1,0 +1,97 @@
+"""``taxinet score`` at the command line, also on a run of ours."""
+
+import json
+
+import pandas as pd
+import pytest
+from synthetic import Drive, record
+
+from taxinet_ros.bag.run.recording import open_recording
+
+KNOWN = '--place', 'kmwh_04', '--truth', '/fix', '--heading', '/imu'
+
+
+@pytest.fixture
+def drive(tmp_path):
+    return record(tmp_path / 'drive', Drive(seconds=30, noise_m=0.2))
+
+
+def test_given_a_recording_when_scored_then_json_page_and_table_are_written(taxinet, drive, see):
+    code, out, err = taxinet('score', drive, *KNOWN, '--perception', f'{see}:biased', '--against',
+                             f'{see}:see', '--out', 'found', '--json')
+    assert (code, err) == (0, '')
+    values = json.loads(out)
+    assert values['frames'] == 301
+    assert values['cte_mae_m'] == pytest.approx(0.5, abs=0.1)
+    assert values['heading_mae_deg'] == pytest.approx(1.0, abs=0.01)
+    assert values == json.loads((drive.parent / 'found/score.json').read_text())
+    table = pd.read_parquet(drive.parent / 'found/frames.parquet')
+    assert len(table) == 301
+    assert {'est_cte_m', 'est_cte_m_2', 'cte_error_m', 'sun_elevation_deg'} <= set(table)
+    page = (drive.parent / 'found/score.html').read_text()
+    assert 'is better in heading' in page
+    assert page.count('data:image/webp') >= 6
+    # Again in the same folder, and not in one with other things.
+    assert taxinet('score', drive, *KNOWN, '--perception', f'{see}:see', '--out', 'found')[0] == 0
+    code, _, err = taxinet('score', drive, *KNOWN, '--out', drive)
+    assert (code, 'something else than a score' in err) == (2, True)
+
+
+def test_given_a_requirement_that_is_asked_for_then_its_violation_is_the_exit_code(
+    taxinet, drive, see
+):
+    words = 'score', drive, *KNOWN, '--perception', f'{see}:see'
+    assert taxinet(*words)[0] == 0
+    code, out, _ = taxinet(*words, '--spec', 'phi_always')
+    assert (code, 'phi_always on the recorded path: 1 VIOLATED of 1 stretch' in out) == (1, True)
+
+
+def test_given_a_recording_then_its_topics_are_proposed(taxinet, drive):
+    code, out, _ = taxinet('score', '--topics', drive, '--json')
+    assert code == 0
+    rows = {row['topic']: row for row in json.loads(out)[str(drive)]}
+    assert {name: row['use'] for name, row in rows.items()} == {
+        '/cam': '--image', '/fix': '--truth', '/imu': '--heading'}
+    assert rows['/cam']['messages'] == 301
+    assert '--heading' in taxinet('score', '--topics', drive)[1]
+
+
+@pytest.mark.parametrize(('words', 'line'), [
+    ((), '--place is missing'),
+    ((*KNOWN, '--perception', 'truth'), 'uses no camera image'),
+    ((*KNOWN, '--latency', 'soon'), "--latency 'soon': expected seconds"),
+    ((*KNOWN, '--antenna', '3'), "--antenna '3': expected X,Y"),
+    ((*KNOWN, '--stamps', 'wall'), '--stamps wall: expected header or log'),
+    ((*KNOWN, '--heading-is', 'ned'), '--heading-is ned: expected enu or compass'),
+    ((*KNOWN, '--against', 'taxinet'), 'is --perception itself'),
+    ((*KNOWN, '--aircraft', 'c172p'), 'without --camera it has no effect'),
+    ((*KNOWN, '--camera', 'wing'), 'the pictures are 12 x 8, camera wing has 360 x 200'),
+    ((*KNOWN, '--monitor', 'taxinet'), 'needs to know the camera'),
+    ((*KNOWN[:2], '--truth', '/fix', '--heading', 'track', '--heading-offset', '3'),
+     'no convention or offset'),
+])
+def test_given_a_mistake_then_one_line_says_it_and_nothing_is_written(taxinet, drive, words, line):
+    code, out, err = taxinet('score', drive, *words)
+    assert (code, out, err.count('\n')) == (2, '', 1)
+    assert line in err
+    assert sorted(one.name for one in drive.parent.iterdir()) == ['drive']
+
+
+def test_given_a_run_of_ours_then_place_truth_and_robustness_are_its_own(taxinet, tmp_path):
+    code, *_ = taxinet(
+        'run', 'nominal', '--engine', 'loop', '--images', 'all', '--set', 'duration=3',
+        '--perception', 'original', '--seed', '3', '--out', 'ours', '--runs', '1', '--spec',
+        'phi_always')
+    assert code == 0
+    bag = next((tmp_path / 'ours').glob('nominal-*'))
+    code, out, err = taxinet('score', bag, '--perception', 'original', '--monitor', 'original',
+                             '--json')
+    assert (code, err) == (0, '')
+    found, run = json.loads(out), open_recording(bag)
+    assert found['frames'] == len(run.trace) == 31
+    errors = (run.trace['est_cte_m'] - run.trace['cte_m']).abs()
+    assert found['cte_mae_m'] == pytest.approx(errors.mean(), rel=1e-12)
+    always = next(one for one in found['verdicts'] if one['spec'] == 'phi_always')
+    assert always['lower'] == run.judge('phi_always').interval.lower
+    assert found['alarms']['frames'] == 31
+    assert found['notes'] == []
