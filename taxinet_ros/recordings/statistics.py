@@ -30,7 +30,8 @@ _MOST_LAG = 200
 _MOST_BLOCKS = 400
 _LATEST_S, _STEP_S = 1.0, 0.02
 _WIDEST_S = 0.3
-_LATENCY_BLOCKS = 10
+_LATENCY_BLOCKS, _LATENCY_RESAMPLES = 10, 400
+_SMOOTH_S = 0.5
 _LEAST_GAIN = 10.0
 """Least difference of twice the log-likelihood between the best latency and the worst one."""
 
@@ -145,9 +146,10 @@ def estimate_latency(
 ) -> Latency:
     """The latency with which a network's estimates agree best with the truth.
 
-    For each latency the estimates are fitted by the truth so much earlier, with an offset and a
-    scale, which a network may have wrong; the likelihood of what remains is compared. The interval
-    is from resampled blocks of frames.
+    For each latency the estimates are fitted by the truth so much earlier: each is linear in both
+    cross-track and heading error, as a network may have offsets and scales wrong, and one whose
+    cross-track errs with the heading would else look early or late. The likelihood of what remains
+    is compared. The interval is from resampled blocks of frames.
 
     Args:
         parts: of each bag truth, stamps (n,) of the frames, and estimates (n, 2): cross-track [m]
@@ -162,9 +164,10 @@ def estimate_latency(
             track.measure(x, y, yaw)[1:] for x, y, yaw in zip(
                 *(column.tolist() for column in poses[:3]), strict=True)
         ])
-        # Errors of the samples are interpolated, not of the frames, of which there are 101 shifts.
+        # Between two samples interpolation averages their noise, which would favour those shifts.
         sampled = replace(truth, poses=poses._replace(
-            y_m=errors[:, 0], yaw_rad=unwrapped(errors[:, 1])))
+            y_m=_smoothed(errors[:, 0], truth.period_s),
+            yaw_rad=_smoothed(unwrapped(errors[:, 1]), truth.period_s)))
         rows = np.array([
             sampled.at(stamps_ns - round(shift * NS_PER_S))[1:3] for shift in shifts
         ]).transpose(0, 2, 1)
@@ -176,6 +179,14 @@ def estimate_latency(
         shifts, np.concatenate(shifted, axis=1), np.concatenate(estimates), np.concatenate(groups))
 
 
+def _smoothed(values: Floats, period_s: float) -> Floats:
+    """Means over :data:`_SMOOTH_S` on both sides, NaN where one of them is."""
+    half = min(round(_SMOOTH_S / max(period_s, 1e-3)), (len(values) - 1) // 2)
+    kernel = np.ones(2 * half + 1)
+    weights = np.convolve(np.ones(len(values)), kernel, 'same')
+    return np.asarray(np.convolve(values, kernel, 'same') / weights)
+
+
 def _best_shift(
     shifts: Floats, shifted: Floats, estimates: Floats, groups: NDArray[np.int64]
 ) -> Latency:
@@ -183,58 +194,51 @@ def _best_shift(
     unknown = Latency(math.nan, math.nan, math.nan)
     if count < 50:
         return unknown._replace(why=f'{count} frames between samples of the truth, too few')
-    whole = _likelihood(_block_sums(shifted, estimates, np.zeros(count, np.int64))[..., 0])
+    one = np.zeros(count, np.int64)
+    whole = _likelihood(_moments(shifted, estimates, one)[:, 0])
     best = _peak(shifts, whole)
     place = (best - shifts[0]) / _STEP_S
-    low = min(int(place), len(shifts) - 2)
-    here = shifted[low] + (place - low) * (shifted[low + 1] - shifted[low])
-    blocks, alike = blocks_of(_residuals(here, estimates).T, groups, _LATENCY_BLOCKS)
+    before = min(int(place), len(shifts) - 2)
+    here = shifted[before] + (place - before) * (shifted[before + 1] - shifted[before])
+    basis = np.column_stack([np.ones(count), here])
+    left = estimates - basis @ np.linalg.lstsq(basis, estimates, rcond=None)[0]
+    blocks, alike = blocks_of(left.T, groups, _LATENCY_BLOCKS)
     number = int(blocks.max()) + 1
     # Correlated frames count as fewer.
     if (whole.max() - whole.min()) / alike < _LEAST_GAIN:
         return unknown._replace(why='the aircraft hardly turns or drifts')
-    terms = _block_sums(shifted, estimates, blocks)
-    rng = np.random.default_rng(0)
-    drawn = rng.multinomial(number, np.full(number, 1 / number), 400).astype(np.float64)
-    found = [_peak(shifts, _likelihood(terms @ weights)) for weights in drawn]
+    terms = _moments(shifted, estimates, blocks)
+    drawn = np.random.default_rng(0).multinomial(
+        number, np.full(number, 1 / number), _LATENCY_RESAMPLES).astype(np.float64)
+    found = [
+        _peak(shifts, _likelihood(np.tensordot(terms, weights, (1, 0)))) for weights in drawn
+    ]
     low, high = np.percentile(found, [2.5, 97.5])
     if high - low > _WIDEST_S or abs(best) >= _LATEST_S - _STEP_S:
         return unknown._replace(why=f'anything from {low:+.2f} to {high:+.2f} s fits')
     return Latency(best, float(low), float(high))
 
 
-def _residuals(truth: Floats, estimates: Floats) -> Floats:
-    found = np.empty_like(estimates)
-    for column in range(2):
-        basis = np.stack([np.ones(len(truth)), truth[:, column]], axis=1)
-        fitted, *_ = np.linalg.lstsq(basis, estimates[:, column], rcond=None)
-        found[:, column] = estimates[:, column] - basis @ fitted
-    return found
-
-
-def _block_sums(shifted: Floats, estimates: Floats, blocks: NDArray[np.int64]) -> Floats:
-    """Sums of products (shift, product and quantity, block) that a regression needs."""
-    number = int(blocks.max()) + 1
+def _moments(shifted: Floats, estimates: Floats, blocks: NDArray[np.int64]) -> Floats:
+    """Sums of products of 1, both truths and both estimates, (shifts, blocks, 5, 5)."""
+    starts = np.flatnonzero(np.diff(blocks, prepend=-1))
     rows = []
     for truth in shifted:
-        products = []
-        for column in range(2):
-            x, y = truth[:, column] - truth[:, column].mean(), estimates[:, column]
-            products += [np.ones(len(x)), x, y, x * x, x * y, y * y]
-        rows.append([np.bincount(blocks, one, number) for one in products])
+        values = np.column_stack([
+            np.ones(len(truth)), truth - truth.mean(axis=0), estimates - estimates.mean(axis=0)])
+        rows.append(np.add.reduceat(values[:, :, None] * values[:, None, :], starts))
     return np.array(rows)
 
 
-def _likelihood(sums: Floats) -> Floats:
-    """Twice the log-likelihood (shifts,) of regressions with these sums (shifts, 12)."""
-    total = np.zeros(len(sums))
-    for first in (0, 6):
-        n, x, y, xx, xy, yy = sums[:, first:first + 6].T
-        varies = xx - x * x / n
-        joint = xy - x * y / n
-        left = yy - y * y / n - np.where(varies > 1e-12, joint**2 / np.maximum(varies, 1e-12), 0.0)
-        total -= n * np.log(np.maximum(left / n, 1e-12))
-    return total
+def _likelihood(moments: Floats) -> Floats:
+    """Twice the log-likelihood (shifts,) of estimates that are linear in both truths."""
+    count = moments[:, 0, 0]
+    known = moments[:, :3, :3] + 1e-9 * count[:, None, None] * np.eye(3)
+    joint = moments[:, :3, 3:]
+    left = moments[:, 3:, 3:] - joint.transpose(0, 2, 1) @ np.linalg.solve(known, joint)
+    spread = np.diagonal(left, axis1=1, axis2=2) / count[:, None]
+    found: Floats = -count * np.log(np.maximum(spread, 1e-12)).sum(axis=1)
+    return found
 
 
 def _peak(shifts: Floats, curve: Floats) -> float:

@@ -83,9 +83,9 @@ def score(
         str, typer.Option(help='network: a name, or a file', autocompletion=complete_perception)
     ] = 'taxinet',
     against: Annotated[
-        str, typer.Option(help='second network, compared frame by frame',
-                          autocompletion=complete_perception)
-    ] = '',
+        str | None, typer.Option(help='second network, compared frame by frame',
+                                 autocompletion=complete_perception)
+    ] = None,
     latency: Annotated[
         str,
         typer.Option(
@@ -133,7 +133,7 @@ def score(
     from taxinet_ros.recordings.score import score as score_bags
 
     options = ScoreOptions(
-        bags=tuple(bags), perception=perception, against=against, place=place, track=track,
+        bags=tuple(bags), perception=perception, against=against or '', place=place, track=track,
         image=image, camera=camera, aircraft=aircraft, latency=latency, specs=tuple(spec or ()),
         monitor=monitor, source=_source(
             truth, heading, heading_is, heading_offset, frame, antenna, stamps),
@@ -206,10 +206,10 @@ def _list_topics(bags: list[Path], as_json: bool) -> int:
     console = line_console()
     for bag, rows in found.items():
         console.print(bag)
-        table = Table('topic', 'type', 'messages', 'use', box=None, pad_edge=False)
-        for name, kind, count, use in rows:
-            table.add_row(name, kind, str(count), use)
-        console.print(table, soft_wrap=False)
+        widths = [max(map(len, map(str, column))) for column in zip(*rows, strict=True)]
+        for row in rows:
+            cells = (f'{word!s:<{width}}' for word, width in zip(row, widths, strict=True))
+            console.print(f'  {"  ".join(cells)}'.rstrip())
     return ExitCode.OK
 
 
@@ -219,7 +219,9 @@ def _print(found: Score, sentences: tuple[str, ...], out: Path | None) -> None:
     console = line_console(width=100)
     for sentence in sentences:
         console.print(sentence)
-    table = Table('', 'frames', box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
+    table.add_column('', no_wrap=True)
+    table.add_column('frames', justify='right')
     for number in range(len(found.networks)):
         end = f' {number + 1}' if len(found.networks) > 1 else ''
         table.add_column(f'cross-track{end} [m]', justify='right')
