@@ -216,7 +216,7 @@ def _list_topics(bags: list[Path], as_json: bool) -> int:
 def _print(found: Score, sentences: tuple[str, ...], out: Path | None) -> None:
     from taxinet_ros.recordings.report import PAGE_NAME
 
-    console = line_console(width=100)
+    console = line_console(width=130)
     for sentence in sentences:
         console.print(sentence)
     table = Table(box=None, pad_edge=False)
