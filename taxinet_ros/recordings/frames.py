@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import math
 from collections import Counter
@@ -24,7 +25,7 @@ from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import NS_PER_S, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.reader import (
     CAMERA_INFO,
@@ -249,24 +250,58 @@ def prepared(networks: Sequence[str], rig: Rig | None) -> list[Perception]:
     return perceptions
 
 
+def shown(pixels: NDArray[np.uint8], rig: Rig | None) -> NDArray[np.uint8]:
+    """A picture as networks get it: of the rig's camera as it is, else in their usual size.
+
+    Raises:
+        UsageError: it has not the size of the rig's camera.
+    """
+    if rig is None:
+        return usual_frame(pixels)
+    if pixels.shape != rig.camera.shape:
+        (height, width), camera = pixels.shape[:2], rig.camera
+        raise UsageError(
+            f'the pictures are {width} x {height}, camera {camera.name} has {camera.width_px} x '
+            f'{camera.height_px}; describe theirs with --camera FILE (docs/world.md)')
+    return pixels
+
+
 def estimates_of(
     pixels: NDArray[np.uint8], perceptions: Sequence[Perception], rig: Rig | None
 ) -> Iterator[float]:
     """Cross-track [m] and heading error [rad] of each network; NaN where it has none.
 
     Raises:
-        UsageError: the picture has not the size of the rig's camera.
+        UsageError: as :func:`shown`.
     """
-    if rig is None:
-        pixels = usual_frame(pixels)
-    elif pixels.shape != rig.camera.shape:
-        (height, width), camera = pixels.shape[:2], rig.camera
-        raise UsageError(
-            f'the pictures are {width} x {height}, camera {camera.name} has {camera.width_px} x '
-            f'{camera.height_px}; describe theirs with --camera FILE (docs/world.md)')
+    pixels = shown(pixels, rig)
     for perception in perceptions:
         seen = perception.estimate(pixels, None)
         yield from (seen.cte_m, seen.he_rad) if seen.usable else (math.nan, math.nan)
+
+
+def shown_pictures(recordings: Sequence[Recording], setup: Setup) -> Iterator[NDArray[np.uint8]]:
+    """All pictures that can be read, as :func:`shown`, in the order of :func:`read_frames`."""
+    for recording in recordings:
+        for _, _, message in recording.decoded((setup.image,)):
+            with contextlib.suppress(ValueError):
+                yield shown(picture(message), setup.rig)
+
+
+class NodeAnswers(Perception):
+    """Answers that a node has given to :func:`shown_pictures`, one after the other."""
+
+    word, fingerprint, needs_image = 'node', '', True
+
+    def __init__(self, answers: Sequence[TrackingError]) -> None:
+        """Take the answers."""
+        self._answers = iter(answers)
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """The next answer."""
+        return next(self._answers, NO_ESTIMATE)
 
 
 def pictures_of(

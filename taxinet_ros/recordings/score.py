@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -25,8 +25,10 @@ from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS, DEFAULT_AIRCRAFT
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
 from taxinet_ros.core.trace import trace_signals
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import (
     AFTER_LEAP,
@@ -34,6 +36,7 @@ from taxinet_ros.recordings.frames import (
     SCORED,
     STATUSES,
     Frames,
+    NodeAnswers,
     Progress,
     Setup,
     estimates_of,
@@ -44,6 +47,7 @@ from taxinet_ros.recordings.frames import (
     prepared,
     read_frames,
     resolved_source,
+    shown_pictures,
     the_topic,
     time_notes,
 )
@@ -215,8 +219,19 @@ class Score:
         return {status: found[status] for status in STATUSES if found[status]}
 
 
-def score(options: ScoreOptions, progress: Progress = lambda *_: None) -> Score:
+Play = Callable[[str, Iterator[NDArray[np.uint8]], Scenario], Sequence[TrackingError]]
+"""Plays pictures into the node of a command, and gives its answers."""
+
+
+def score(
+    options: ScoreOptions, progress: Progress = lambda *_: None, play: Play | None = None
+) -> Score:
     """Score one or two networks on recordings.
+
+    Args:
+        options: what and where.
+        progress: called after each frame.
+        play: what plays pictures into a node, for a perception ``cmd:COMMAND``.
 
     Raises:
         UsageError: something cannot be used, or no frame can be compared with the truth; the line
@@ -227,7 +242,11 @@ def score(options: ScoreOptions, progress: Progress = lambda *_: None) -> Score:
     specs = [parse_spec(text) for text in read_specs(options.specs or DEFAULT_SPECS)]
     _check_read(specs)
     setup = make_setup(options, recordings[0], scenario)
-    perceptions = prepared(setup.networks, setup.rig)
+    perceptions: list[Perception] = []
+    if play is not None and setup.networks[0].startswith(COMMAND):
+        perceptions.append(NodeAnswers(play(
+            setup.networks[0], shown_pictures(recordings, setup), _scene(scenario, setup.rig))))
+    perceptions += prepared(setup.networks[len(perceptions):], setup.rig)
     bags = [read_frames(one, setup, perceptions, progress) for one in recordings]
     latency = estimate_latency([
         (one.truth, one.stamps_ns[:one.leap.number], one.estimates[0, :one.leap.number])
@@ -285,6 +304,15 @@ def make_setup(
         image=the_topic(recording, options.image, IMAGES, '--image'),
         source=resolved_source(options.source, recording, scenario is not None),
     )
+
+
+def _scene(scenario: Scenario | None, rig: Rig | None) -> Scenario:
+    """A scenario that names camera and aircraft."""
+    if rig is None:
+        return scenario or Scenario()
+    values: dict[str, Any] = {field.attribute: 0.0 for field in CAMERA_OFFSETS}
+    values |= {'camera': rig.camera.text, 'aircraft': rig.aircraft.text}
+    return replace(scenario or Scenario(), **values)
 
 
 def _applied(given: str, latency: Latency) -> float:
@@ -482,6 +510,8 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     begun = f'{turned}: the estimates fall where the truth rises'
     if len(found.mirrored) < len(names):
         return f'{begun}: the signs of truth or network; left is positive'
+    if isinstance(perceptions[0], NodeAnswers):
+        return f'{begun}: mirrored pictures, or the signs of the truth; left is positive'
     errors: list[tuple[float, float]] = []
     for row, pixels in _spread_pictures(found, _FLIPPED):
         truth = float(cell(found.table, row, 'cte_m'))
@@ -524,8 +554,7 @@ def _watch(found: Score, word: str) -> Alarms:
     monitor = make_monitor(word)
     kinematics = monitor.calibration.fitted.kinematics if isinstance(
         monitor, CalibratedMonitor) else None
-    scenario = found.scenario or Scenario()
-    scenario = replace(scenario, camera=rig.camera.text, aircraft=rig.aircraft.text)
+    scenario = _scene(found.scenario, rig)
     reasons, seen, first_s = Counter[str](), 0, math.nan
     before = -1
     monitor.begin(scenario)

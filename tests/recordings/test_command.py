@@ -1,6 +1,9 @@
 """``taxinet score`` at the command line, also on a run of ours."""
 
 import json
+import shlex
+import sys
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -95,3 +98,26 @@ def test_given_a_run_of_ours_then_place_truth_and_robustness_are_its_own(taxinet
     assert always['lower'] == run.judge('phi_always').interval.lower
     assert found['alarms']['frames'] == 31
     assert found['notes'] == []
+
+
+@pytest.mark.ros
+def test_given_a_node_of_ones_own_then_it_gets_every_picture_in_lockstep(taxinet, tmp_path):
+    example = Path(__file__).parents[2] / 'examples'
+    node = shlex.join([sys.executable, str(
+        example / 'my_perception_package/my_perception_package/perception.py')])
+    drive = record(tmp_path / 'drive', Drive(
+        seconds=3, size=(200, 360), picture=lambda pixels: pixels // 2))
+    found = []
+    for _ in range(2):
+        code, out, err = taxinet(
+            'score', drive, *KNOWN, '--perception-cmd', node, '--json', '--out', f'out{len(found)}')
+        assert (code, err) == (0, ''), err
+        found.append(json.loads(out))
+    assert found[0]['counts'] == {'scored': 31}
+    tables = [pd.read_parquet(tmp_path / f'out{n}/frames.parquet') for n in range(2)]
+    pd.testing.assert_frame_equal(*tables)
+    function = f'{example}/perception_function.py:bright_paint'
+    assert 'perception.py' in next(iter(found[0]['networks']))
+    assert taxinet('score', drive, *KNOWN, '--perception', function)[0] == 0
+    code, _, err = taxinet('score', drive, *KNOWN, '--perception-cmd', 'no-such-program')
+    assert (code, 'no such program' in err) == (2, True)

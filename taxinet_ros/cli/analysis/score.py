@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.cli.completion import complete_perception, complete_spec, one_of
-from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.options import JsonOption, PerceptionCommandOption, word_of
 from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 
 def score(
+    context: typer.Context,
     bags: Annotated[
         list[Path], typer.Argument(metavar='BAG…', help='folders or files of rosbag2 recordings')
     ],
@@ -82,6 +84,7 @@ def score(
     perception: Annotated[
         str, typer.Option(help='network: a name, or a file', autocompletion=complete_perception)
     ] = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
     against: Annotated[
         str | None, typer.Option(help='second network, compared frame by frame',
                                  autocompletion=complete_perception)
@@ -133,14 +136,14 @@ def score(
     from taxinet_ros.recordings.score import score as score_bags
 
     options = ScoreOptions(
-        bags=tuple(bags), perception=perception, against=against or '', place=place, track=track,
-        image=image, camera=camera, aircraft=aircraft, latency=latency, specs=tuple(spec or ()),
-        monitor=monitor, source=_source(
+        bags=tuple(bags), perception=word_of(context, 'perception'), against=against or '',
+        place=place, track=track, image=image, camera=camera, aircraft=aircraft, latency=latency,
+        specs=tuple(spec or ()), monitor=monitor, source=_source(
             truth, heading, heading_is, heading_offset, frame, antenna, stamps),
     )
     _check_out(out)
     with stage_bars(Console(stderr=True)) as show:
-        found = score_bags(options, show)
+        found = score_bags(options, show, _play if perception_cmd else None)
     if out is None:
         report = score_report(found)
         values = score_json(found, report)
@@ -152,6 +155,14 @@ def score(
         _print(found, report.summary, out)
     violated = spec and any(one.verdict == 'VIOLATED' for one in found.verdicts)
     return ExitCode.VIOLATED if violated else ExitCode.OK
+
+
+def _play(word: str, pictures: Any, scene: Any) -> Any:
+    """Play pictures into the node of a command."""
+    from taxinet_ros.nodes.graph.replay import play_pictures
+
+    with tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as log:
+        return play_pictures(word, pictures, scene, Path(log.name))
 
 
 def _source(
