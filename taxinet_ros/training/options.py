@@ -48,6 +48,8 @@ class TrainOptions:
         validation_program: program of the validation scenes, which are those that a training on it
             with the same seed and number of images would hold out; None for ``program``.
         add: pictures added to those of ``program``, with validation pictures in proportion.
+        add_data: folders of labelled images added to the training, none of which is held out: of
+            a recording, neighbours would be on both sides.
         places: places of the scenes in place of a program, words of
             :func:`~taxinet_ros.training.data.places.named_places`.
         view: virtual camera through which the network sees, a name of
@@ -78,6 +80,7 @@ class TrainOptions:
     sampler: str = 'random'
     validation_program: str | None = None
     add: tuple[Portion, ...] = ()
+    add_data: tuple[Path, ...] = ()
     places: tuple[str, ...] = ()
     view: str | None = None
     start: str | None = None
@@ -104,10 +107,7 @@ class TrainOptions:
             raise UsageError(
                 f'train: {which[0]} a program, --place {which[1]} --data given; give exactly one'
             )
-        if self.view is not None and self.view not in VIEWS:
-            raise UsageError(
-                f'train: view {self.view!r} is unknown; known: {", ".join(VIEWS)}'
-            )
+        self._check_view()
         if self.data:
             self._check_data()
         elif self.validation_data is not None:
@@ -121,10 +121,19 @@ class TrainOptions:
             option = '--validation-program' if self.validation_program else '--sampler'
             raise UsageError(f'train: {option} goes with a program, not with --place')
 
+    def _check_view(self) -> None:
+        if self.view is not None and self.add_data:
+            raise UsageError('train: --view: of added folders the camera is unknown; leave one out')
+        if self.view not in (None, *VIEWS):
+            raise UsageError(
+                f'train: view {self.view!r} is unknown; known: {", ".join(VIEWS)}'
+            )
+
     def _check_data(self) -> None:
         for option, given in (
             ('--varied', self.varied), ('--sampler', self.sampler != 'random'),
-            ('--validation-program', self.validation_program), ('--add or --add-runs', self.add),
+            ('--validation-program', self.validation_program),
+            ('--add or --add-runs', self.add or self.add_data),
             ('--view', self.view),
         ):
             if given:
@@ -189,6 +198,8 @@ class TrainOptions:
             words += ['--validation-program', self.validation_program]
         for portion in self.add:
             words += ['--add' if portion.kind == 'program' else '--add-runs', str(portion)]
+        for folder in self.add_data:
+            words += ['--add', str(folder)]
         return words
 
     def _numbers(self) -> list[str]:

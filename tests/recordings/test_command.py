@@ -121,3 +121,34 @@ def test_given_a_node_of_ones_own_then_it_gets_every_picture_in_lockstep(taxinet
     assert taxinet('score', drive, *KNOWN, '--perception', function)[0] == 0
     code, _, err = taxinet('score', drive, *KNOWN, '--perception-cmd', 'no-such-program')
     assert (code, 'no such program' in err) == (2, True)
+
+
+def test_given_recordings_then_labelled_images_are_thinned_and_trained_on(taxinet, see, tmp_path):
+    from taxinet_ros.core.perception.weights import load_card
+
+    drive = Drive(seconds=12, size=(100, 200))
+    drives = [record(tmp_path / name, drive) for name in ('one', 'two')]
+    words = 'score', *drives, *KNOWN, '--perception', f'{see}:see', '--dataset', 'images'
+    code, out, _ = taxinet(*words)
+    assert code == 0
+    labels = pd.read_csv(tmp_path / 'images/one/labels.csv')
+    assert f'{len(labels)} labelled images: images/one' in out
+    steps = labels[['distance_m', 'cte_m', 'heading_error_deg']].diff().abs().iloc[1:]
+    assert (steps.to_numpy() >= [1.0, 1.0, 2.0]).any(axis=1).all()
+    assert 40 < len(labels) < 121
+    # The images say what the labels say.
+    code, out, _ = taxinet(
+        'evaluate', '--data', 'images/two', '--perception', f'{see}:see', '--json')
+    assert code == 0
+    assert json.loads(out)['slices'][0]['errors']['cte_m']['mae'] < 0.001
+    assert taxinet(*words)[0] == 2
+    code, _, err = taxinet(
+        'train', 'training_original', '--images', '8', '--validation', '4', '--epochs', '1',
+        '--batch', '4', '--workers', '1', '--add', 'images/one', '--out', 'mixed.safetensors')
+    assert code == 0, err
+    card = load_card(tmp_path / 'mixed.json')
+    assert card.images == 8 + len(labels)
+    assert [(one.kind, one.name) for one in card.training_data] == [
+        ('program', 'training_original'), ('folder', 'one')]
+    assert '--add images/one' in card.command_line
+    assert card.domain is None

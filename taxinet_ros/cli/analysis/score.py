@@ -122,6 +122,11 @@ def score(
         Path | None,
         typer.Option(help='folder for frames.parquet, score.json and the page score.html'),
     ] = None,
+    dataset: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help='also write labelled images of the scored frames, thinned '
+                     'to one a metre, a folder for each recording: for `taxinet train --add`')
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Score networks on recordings: errors against where the aircraft really was.
@@ -153,6 +158,11 @@ def score(
         print_json(values)
     else:
         _print(found, report.summary, out)
+    if dataset is not None:
+        from taxinet_ros.recordings.dataset import write_datasets
+
+        for folder, count in write_datasets(found, dataset).items():
+            line_console(stderr=as_json).print(f'{count} labelled images: {folder}')
     violated = spec and any(one.verdict == 'VIOLATED' for one in found.verdicts)
     return ExitCode.VIOLATED if violated else ExitCode.OK
 
