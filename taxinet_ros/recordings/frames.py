@@ -332,7 +332,7 @@ def frame_table(frames: Frames, setup: Setup, latency_s: float = 0.0) -> pd.Data
         't_s': (stamps - (stamps[0] if len(stamps) else 0)) / NS_PER_S,
         'stamp_ns': stamps, 'logged_ns': frames.logged_ns,
         'status': _statuses(frames, setup, measured, poses.speed_mps),
-        'x_m': poses.x_m, 'y_m': poses.y_m, 'distance_m': measured[:, 0],
+        'x_m': poses.x_m, 'y_m': poses.y_m, 'yaw_rad': poses.yaw_rad, 'distance_m': measured[:, 0],
         'speed_mps': poses.speed_mps, 'yaw_rate_radps': poses.yaw_rate_radps,
         'cte_m': measured[:, 1], 'heading_error_deg': np.degrees(heading),
         'brightness': frames.brightness,

@@ -91,6 +91,7 @@ def score_json(found: Score, report: Report) -> dict[str, Any]:
                         for name, means in one.errors.items()}}
             for one in found.slices
         ],
+        'start': None if found.start is None else found.start.to_human(),
         'verdicts': found.verdicts, 'alarms': found.alarms, 'mirrored': dict(found.mirrored),
         'notes': found.notes, 'made_on': dict(provenance()), 'sentences': list(report.summary),
     })

@@ -190,6 +190,7 @@ class Score:
         notes: likely mistakes and limits, one line each.
         scenario: of a run of ours, or None.
         worst: rows of the largest errors, the worst first.
+        start: our scenario of how the recording began; None if it was not simulated.
     """
 
     setup: Setup
@@ -206,6 +207,7 @@ class Score:
     notes: list[str] = field(default_factory=list)
     scenario: Scenario | None = None
     worst: list[int] = field(default_factory=list)
+    start: Scenario | None = None
 
     @property
     def scored(self) -> NDArray[np.bool_]:

@@ -12,7 +12,12 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.cli.completion import complete_perception, complete_spec, one_of
-from taxinet_ros.cli.options import JsonOption, PerceptionCommandOption, word_of
+from taxinet_ros.cli.options import (
+    JsonOption,
+    PerceptionCommandOption,
+    ScenarioOption,
+    word_of,
+)
 from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -122,6 +127,14 @@ def score(
         Path | None,
         typer.Option(help='folder for frames.parquet, score.json and the page score.html'),
     ] = None,
+    simulate: Annotated[
+        bool, typer.Option('--simulate', help='also render the recorded poses in our world, and '
+                           'show them to the same network')
+    ] = False,
+    settings: ScenarioOption = None,
+    metar: Annotated[
+        str, typer.Option(metavar='TEXT', help='weather of the rendered frames')
+    ] = '',
     dataset: Annotated[
         Path | None,
         typer.Option(metavar='DIR', help='also write labelled images of the scored frames, thinned '
@@ -147,13 +160,18 @@ def score(
             truth, heading, heading_is, heading_offset, frame, antenna, stamps),
     )
     _check_out(out)
+    if not simulate and (settings or metar):
+        raise UsageError(f'{"--set" if settings else "--metar"}: needs --simulate')
+    if simulate and perception_cmd:
+        raise UsageError('--simulate: not with --perception-cmd; play it into the node in a graph')
     with stage_bars(Console(stderr=True)) as show:
         found = score_bags(options, show, _play if perception_cmd else None)
+    gap, extra = _rendered(found, settings or [], metar) if simulate else ('', {})
     if out is None:
-        report = score_report(found)
+        report = score_report(found, gap, extra)
         values = score_json(found, report)
     else:
-        report, values = write_score(found, out)
+        report, values = write_score(found, out, gap, extra)
     if as_json:
         print_json(values)
     else:
@@ -173,6 +191,25 @@ def _play(word: str, pictures: Any, scene: Any) -> Any:
 
     with tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as log:
         return play_pictures(word, pictures, scene, Path(log.name))
+
+
+def _rendered(found: Score, settings: list[str], metar: str) -> tuple[str, dict[str, Any]]:
+    """A sentence on the gap to rendered frames, and its figures."""
+    from taxinet_ros.recordings.rendered import (
+        gap_words,
+        metar_weather,
+        render_beside,
+        rendered_figures,
+        start_scenario,
+    )
+    from taxinet_ros.trials.options import read_settings
+
+    weather, unshown = metar_weather(metar) if metar else ({}, [])
+    if unshown:
+        found.notes.append(f'--metar: {" ".join(unshown)} is not shown by our world')
+    found.start = start_scenario(found, {**weather, **read_settings(settings)})
+    rendered = render_beside(found, found.start)
+    return gap_words(rendered), {'rendered': rendered_figures(found, rendered)}
 
 
 def _source(
