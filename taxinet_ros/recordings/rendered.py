@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.report.parts import Column, Picture, Table, Theme
+from taxinet_ros.analysis.report.parts import Picture, Table, Theme
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
@@ -21,8 +21,8 @@ from taxinet_ros.core.scenario_fields import RAIN_CLOUDS
 from taxinet_ros.core.types import NS_PER_S, AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import dated, estimates_of, local_time, prepared
-from taxinet_ros.recordings.score import QUANTITIES, Score, cell, row_pictures, stretches
-from taxinet_ros.recordings.statistics import Mean, block_mean, blocks_of
+from taxinet_ros.recordings.report import slice_table
+from taxinet_ros.recordings.score import QUANTITIES, Score, Slice, cell, row_pictures, sliced
 
 MOST_FRAMES = 300
 _PAIRS = 4
@@ -107,16 +107,14 @@ class Rendered:
     Attributes:
         scenario: the world.
         rows: of the table.
-        errors: mean absolute errors by quantity: recorded, rendered, and recorded less rendered.
+        slices: errors on recorded and on rendered frames, as of two networks.
         pairs: pictures by row, recorded and rendered, of some.
-        parts: the errors of cross-track by part of the frames: name, recorded, rendered, gap.
     """
 
     scenario: Scenario
     rows: Sequence[int]
-    errors: Mapping[str, tuple[Mean, Mean, Mean]]
+    slices: Sequence[Slice]
     pairs: Mapping[int, tuple[NDArray[np.uint8], NDArray[np.uint8]]]
-    parts: Sequence[tuple[str, Mean, Mean, Mean]]
 
 
 def render_beside(found: Score, scenario: Scenario) -> Rendered:
@@ -145,49 +143,22 @@ def render_beside(found: Score, scenario: Scenario) -> Rendered:
             shown[row] = pixels
     table['rendered_est_cte_m'] = seen[:, 0]
     table['rendered_est_heading_error_deg'] = np.degrees(seen[:, 1])
-    errors, parts = _gaps(found, rows)
+    beside = table.iloc[rows].copy()
+    for _, _, column in QUANTITIES.values():
+        name = 'cte_m' if column == 'cte_error_m' else 'heading_error_deg'
+        beside[f'{column}_2'] = beside[f'rendered_est_{name}'] - beside[name]
     return Rendered(
-        scenario=scenario, rows=rows, errors=errors, parts=parts,
+        scenario=scenario, rows=rows, slices=sliced(beside, 2)[0],
         pairs={row: (pixels, shown[row]) for row, pixels in row_pictures(found, list(shown))},
     )
 
 
-_Triple = tuple[Mean, Mean, Mean]
-
-
-def _gaps(
-    found: Score, rows: Sequence[int]
-) -> tuple[dict[str, _Triple], list[tuple[str, Mean, Mean, Mean]]]:
-    part = found.table.iloc[list(rows)]
-    groups = stretches(part)
-
-    def triple(quantity: str, mask: NDArray[np.bool_]) -> _Triple:
-        name = 'cte_m' if quantity == 'cte' else 'heading_error_deg'
-        recorded = part[QUANTITIES[quantity][2]].abs().to_numpy(np.float64)
-        rendered = (part[f'rendered_est_{name}'] - part[name]).abs().to_numpy(np.float64)
-        blocks, _ = blocks_of(np.stack([recorded, rendered]), groups)
-        values = (recorded, rendered, recorded - rendered)
-        first, second, gap = (
-            block_mean(np.where(mask, one, np.nan), blocks) for one in values)
-        return first, second, gap
-
-    everything = np.ones(len(part), np.bool_)
-    aside = part['cte_m'].abs().to_numpy()
-    bright = part['brightness'].to_numpy()
-    masks = {
-        'within 1 m': aside < 1, '1 to 3 m aside': (aside >= 1) & (aside < 3),
-        'beyond 3 m': aside >= 3, 'dark pictures (< 100)': bright < 100,
-        'bright pictures': bright >= 100,
-    }
-    return {name: triple(name, everything) for name in QUANTITIES}, [
-        (name, *triple('cte', mask)) for name, mask in masks.items() if mask.any()
-    ]
-
-
 def gap_words(rendered: Rendered) -> str:
     """One sentence on the gap between recorded and rendered frames."""
+    everything = rendered.slices[0]
+
     def one(quantity: str, unit: str) -> str:
-        recorded, drawn, gap = rendered.errors[quantity]
+        (recorded, drawn), gap = everything.errors[quantity], everything.better[quantity]
         around = '' if math.isnan(gap.low) else f' (gap {gap.low:+.2f} to {gap.high:+.2f})'
         return f'{recorded.value:.2f} {unit} recorded, {drawn.value:.2f} {unit} rendered{around}'
 
@@ -198,22 +169,13 @@ def gap_words(rendered: Rendered) -> str:
 
 def rendered_figures(found: Score, rendered: Rendered) -> list[Picture | Table]:
     """The pairs of pictures, and the gap by what the frames show."""
-    columns = ('frames', 'recorded', 'rendered', 'gap', 'from', 'to')
     return [
         Picture(
             name='score-rendered', title='Recorded (above) and rendered (below)',
             size_in=(9.0, 4.2), caption='The same poses; above each the estimated cross-track '
             'error.', draw=partial(_draw_pairs, found, rendered),
         ),
-        Table(
-            name='score-gap', title='Cross-track error by what the frames show',
-            caption='Mean absolute errors [m], and recorded less rendered.',
-            columns=(Column(name='part', title='part'), *(
-                Column(name=name, title=name, decimals=2 if name != 'frames' else None)
-                for name in columns)),
-            rows=tuple((name, recorded.frames, recorded.value, drawn.value, gap.value, gap.low,
-                        gap.high) for name, recorded, drawn, gap in rendered.parts),
-        ),
+        slice_table(rendered.slices, ('recorded', 'rendered'), 'score-gap'),
     ]
 
 

@@ -27,7 +27,14 @@ from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
-from taxinet_ros.recordings.score import NOTABLE_LATENCY_S, QUANTITIES, Score, cell, row_pictures
+from taxinet_ros.recordings.score import (
+    NOTABLE_LATENCY_S,
+    QUANTITIES,
+    Score,
+    Slice,
+    cell,
+    row_pictures,
+)
 from taxinet_ros.recordings.statistics import Mean
 
 FRAMES_NAME, JSON_NAME, PAGE_NAME = 'frames.parquet', 'score.json', 'score.html'
@@ -46,7 +53,7 @@ def score_report(found: Score, gap: str = '', extra: Mapping[str, Sequence[Any]]
     networks = list(found.networks)
     pictures = dict(row_pictures(found, found.worst))
     figures: dict[str, Sequence[Picture | Table]] = {
-        'errors': (_slice_table(found),),
+        'errors': (slice_table(found.slices, networks, 'score-errors'),),
         'path': tuple(_path_picture(found, quantity) for quantity in QUANTITIES),
         'worst': (_worst_picture(found, pictures), _worst_table(found)) if pictures else (),
         'requirements': (_verdict_table(found),),
@@ -118,29 +125,32 @@ def _plain(means: Mapping[str, Mean]) -> dict[str, dict[str, float]]:
     return {name: mean._asdict() for name, mean in means.items()}
 
 
-def _slice_table(found: Score) -> Table:
+def slice_table(slices: Sequence[Slice], names: Sequence[str], name: str) -> Table:
+    """Table of errors by what the frames show.
+
+    Args:
+        slices: the errors.
+        names: of the networks, or of whatever is compared.
+        name: of the table.
+    """
     columns = [Column(name='by', title='by'), Column(name='part', title='part'),
                Column(name='frames', title='frames')]
-    many = len(found.networks) > 1
-    for number in range(len(found.networks)):
-        for name, (words, unit, _) in QUANTITIES.items():
-            end, of = (f'_{number + 1}', f'network {number + 1}, ') if many else ('', '')
+    for number, word in enumerate(names, start=1):
+        for quantity, (words, unit, _) in QUANTITIES.items():
+            title = f'{words} [{unit}], {Path(word).name}'
             columns += [
-                Column(name=f'{name}_mae_{unit}{end}', title=f'{of}{words} MAE [{unit}]',
-                       decimals=2),
-                Column(name=f'{name}_mae_low{end}', title='from', decimals=2),
-                Column(name=f'{name}_mae_high{end}', title='to', decimals=2),
+                Column(name=f'{quantity}_mae_{unit}_{number}', title=title, decimals=2),
+                Column(name=f'{quantity}_low_{number}', title='from', decimals=2),
+                Column(name=f'{quantity}_high_{number}', title='to', decimals=2),
             ]
-    rows = []
-    for one in found.slices:
-        cells: list[Cell] = [one.kind, one.name, one.errors['cte'][0].frames]
-        for number in range(len(found.networks)):
-            for means in one.errors.values():
-                cells += [means[number].value, means[number].low, means[number].high]
-        rows.append(tuple(cells))
+    rows: list[tuple[Cell, ...]] = []
+    for one in slices:
+        means = [means[number] for number in range(len(names)) for means in one.errors.values()]
+        numbers = [number for mean in means for number in mean[:3]]
+        rows.append((one.kind, one.name, means[0].frames, *numbers))
     return Table(
-        name='score-errors', title='Mean absolute errors', columns=tuple(columns),
-        rows=tuple(rows), caption='Without interval: fewer than five independent blocks.')
+        name=name, title='Mean absolute errors', columns=tuple(columns), rows=tuple(rows),
+        caption='Without interval: fewer than five independent blocks.')
 
 
 def _verdict_table(found: Score) -> Table:
