@@ -172,7 +172,7 @@ def rendered_figures(found: Score, rendered: Rendered) -> list[Picture | Table]:
     return [
         Picture(
             name='score-rendered', title='Recorded (above) and rendered (below)',
-            size_in=(9.0, 4.2), caption='The same poses; above each the estimated cross-track '
+            size_in=(9.0, 3.0), caption='The same poses; above each the estimated cross-track '
             'error.', draw=partial(_draw_pairs, found, rendered),
         ),
         slice_table(rendered.slices, ('recorded', 'rendered'), 'score-gap'),

@@ -207,7 +207,7 @@ def _draw_path(found: Score, quantity: str, figure: Figure, theme: Theme) -> Non
 def _worst_picture(found: Score, pictures: Mapping[int, NDArray[np.uint8]]) -> Picture:
     rows = math.ceil(len(pictures) / _COLUMNS)
     return Picture(
-        name='score-frames', title='Pictures', size_in=(9.0, 2.0 * rows),
+        name='score-frames', title='Pictures', size_in=(9.0, 1.5 * rows),
         draw=partial(_draw_frames, found, pictures),
         caption='Above each: time, and cross-track error true and estimated.')
 

@@ -1,10 +1,16 @@
 """A function that sees what synthetic recordings show, and a score of one in a line."""
 
+import sys
+from pathlib import Path
+
 import pytest
 from synthetic import SEE, record
 
 from taxinet_ros.recordings.score import Score, ScoreOptions, score
 from taxinet_ros.recordings.truth import TruthSource
+
+# What `ros2 bag record` makes of a run of ours is made beside other tests.
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'bag'))
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import recordings
 from synthetic import Drive, record
 
 from taxinet_ros.bag.run.recording import open_recording
@@ -98,6 +99,13 @@ def test_given_a_run_of_ours_then_place_truth_and_robustness_are_its_own(taxinet
     assert always['lower'] == run.judge('phi_always').interval.lower
     assert found['alarms']['frames'] == 31
     assert found['notes'] == []
+    # The same as `ros2 bag record` makes it: logged by the wall clock, with topics of others.
+    again = recordings.record(tmp_path / 'recorded', recordings.heard([bag]), files=3)
+    code, out, err = taxinet('score', again, '--perception', 'original', '--json')
+    assert (code, err) == (0, '')
+    other = json.loads(out)
+    for key in ('frames', 'cte_mae_m', 'heading_mae_deg', 'latency', 'place', 'notes'):
+        assert other[key] == found[key], key
 
 
 @pytest.mark.ros
