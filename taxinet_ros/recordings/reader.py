@@ -133,7 +133,9 @@ class Recording:
                     if one.msgcount:
                         self._note(one.topic, one.msgtype, one.msgcount)
         except _DAMAGE as error:
-            raise UsageError(f'{self.path}: cannot be read: {_line(error)}') from error
+            raise UsageError(
+                f'{self.path}: cannot be read: {_line(error)}; try ros2 bag reindex, or name one '
+                'file of it') from error
 
     def _foreign_messages(self, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
         try:

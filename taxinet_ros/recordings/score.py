@@ -239,6 +239,8 @@ def score(
         UsageError: something cannot be used, or no frame can be compared with the truth; the line
             names the likely mistake.
     """
+    if len({path.resolve() for path in options.bags}) < len(options.bags):
+        raise UsageError('score: a recording is named twice; leave one out')
     recordings = [Recording(path) for path in options.bags]
     scenario = own_scenario(recordings[0])
     specs = [parse_spec(text) for text in read_specs(options.specs or DEFAULT_SPECS)]

@@ -35,10 +35,8 @@ def test_given_a_recording_when_scored_then_json_page_and_table_are_written(taxi
     page = (drive.parent / 'found/score.html').read_text()
     assert 'is better in heading' in page
     assert page.count('data:image/webp') >= 6
-    # Again in the same folder, and not in one with other things.
-    assert taxinet('score', drive, *KNOWN, '--perception', f'{see}:see', '--out', 'found')[0] == 0
-    code, _, err = taxinet('score', drive, *KNOWN, '--out', drive)
-    assert (code, 'something else than a score' in err) == (2, True)
+    code, _, err = taxinet('score', drive, *KNOWN, '--out', 'found')
+    assert (code, 'already exists' in err) == (2, True)
 
 
 def test_given_a_requirement_that_is_asked_for_then_its_violation_is_the_exit_code(
@@ -62,6 +60,8 @@ def test_given_a_recording_then_its_topics_are_proposed(taxinet, drive):
 
 @pytest.mark.parametrize(('words', 'line'), [
     ((), '--place is missing'),
+    ((*KNOWN, 'drive'), 'a recording is named twice'),
+    ((*KNOWN, '--simulate', '--perception-cmd', 'true'), '--simulate: not with'),
     ((*KNOWN, '--perception', 'truth'), 'uses no camera image'),
     ((*KNOWN, '--latency', 'soon'), "--latency 'soon': expected seconds"),
     ((*KNOWN, '--antenna', '3'), "--antenna '3': expected X,Y"),

@@ -125,7 +125,7 @@ def score(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(help='folder for frames.parquet, score.json and the page score.html'),
+        typer.Option(help='new folder for frames.parquet, score.json and the page score.html'),
     ] = None,
     simulate: Annotated[
         bool, typer.Option('--simulate', help='also render the recorded poses in our world, and '
@@ -152,6 +152,7 @@ def score(
     from taxinet_ros.recordings.report import score_json, score_report, write_score
     from taxinet_ros.recordings.score import ScoreOptions
     from taxinet_ros.recordings.score import score as score_bags
+    from taxinet_ros.trials.options import check_new
 
     options = ScoreOptions(
         bags=tuple(bags), perception=word_of(context, 'perception'), against=against or '',
@@ -159,7 +160,8 @@ def score(
         specs=tuple(spec or ()), monitor=monitor, source=_source(
             truth, heading, heading_is, heading_offset, frame, antenna, stamps),
     )
-    _check_out(out)
+    if out is not None:
+        check_new(out)
     if not simulate and (settings or metar):
         raise UsageError(f'{"--set" if settings else "--metar"}: needs --simulate')
     if simulate and perception_cmd:
@@ -237,18 +239,6 @@ def _source(
         heading_offset_rad=math.radians(heading_offset), antenna_m=(ahead, left),
         by_log=stamps == 'log',
     )
-
-
-def _check_out(out: Path | None) -> None:
-    """Refuse a folder with something else in it; an earlier score there is replaced."""
-    from taxinet_ros.recordings.report import JSON_NAME
-
-    if out is None or not out.exists():
-        return
-    if not out.is_dir():
-        raise UsageError(f'--out {out}: is no folder; choose another name')
-    if any(out.iterdir()) and not (out / JSON_NAME).is_file():
-        raise UsageError(f'--out {out}: holds something else than a score; choose a new folder')
 
 
 def _list_topics(bags: list[Path], as_json: bool) -> int:
