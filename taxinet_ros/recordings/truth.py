@@ -307,21 +307,18 @@ class TruthReader:
             raise UsageError(
                 f'--truth {self.source.topic}: no transforms lead from {parent} to {child}; '
                 f'recorded are {known}')
-        rows = {link: np.array(sorted(self._links[link]), np.float64) for link in chain}
-        busiest = max(chain, key=lambda link: len(rows[link])) if chain else None
-        for number, (stamp, log, *_) in enumerate(sorted(self._links[busiest]) if busiest else ()):
-            x = y = yaw = 0.0
-            for link in chain:
-                own = rows[link]
-                if link == busiest:
-                    dx, dy, turn = own[number, 2:]
-                else:
-                    angles = np.unwrap(own[:, 4])
-                    dx, dy, turn = (np.interp(stamp, own[:, 0], one)
-                                    for one in (own[:, 2], own[:, 3], angles))
-                cos, sin = math.cos(turn), math.sin(turn)
-                x, y, yaw = dx + cos * x - sin * y, dy + sin * x + cos * y, yaw + turn
-            self._positions.add(int(stamp), int(log), (x, y, yaw))
+        stamped = max((sorted(self._links[link]) for link in chain), key=len, default=[])
+        times = np.array([row[0] for row in stamped], np.float64)
+        x = y = yaw = np.zeros(len(times))
+        for link in chain:
+            own = np.array(sorted(self._links[link]), np.float64)
+            dx, dy, turn = (
+                np.interp(times, own[:, 0], one)
+                for one in (own[:, 2], own[:, 3], np.unwrap(own[:, 4])))
+            cos, sin = np.cos(turn), np.sin(turn)
+            x, y, yaw = dx + cos * x - sin * y, dy + sin * x + cos * y, yaw + turn
+        for (stamp_ns, log_ns, *_), *pose in zip(stamped, x, y, yaw, strict=True):
+            self._positions.add(int(stamp_ns), int(log_ns), tuple(map(float, pose)))
 
     def _heading_at(self, stamps: NDArray[np.int64], values: Floats) -> Floats:
         """True heading [rad], clockwise from north, at the positions; NaN where unknown.
