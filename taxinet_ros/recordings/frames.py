@@ -453,12 +453,6 @@ def _info_note(topic: str, message: Any, rig: Rig | None) -> str:
         f'{cy:.1f}; camera {camera.name} has other values: calibrate --camera to the bag')
 
 
-def truth_of(row: Any) -> TrackingError:
-    """The true errors of a row of the table."""
-    return TrackingError(
-        cte_m=float(row.cte_m), he_rad=math.radians(float(row.heading_error_deg)))
-
-
 def proposals(path: Path) -> list[tuple[str, str, int, str]]:
     """Topic, type, number of messages and option of all topics of a bag that can be used."""
     recording = Recording(path)

@@ -105,13 +105,11 @@ class Rendered:
     """A network on recorded frames and on rendered ones of the same poses.
 
     Attributes:
-        scenario: the world.
         rows: of the table.
         slices: errors on recorded and on rendered frames, as of two networks.
         pairs: pictures by row, recorded and rendered, of some.
     """
 
-    scenario: Scenario
     rows: Sequence[int]
     slices: Sequence[Slice]
     pairs: Mapping[int, tuple[NDArray[np.uint8], NDArray[np.uint8]]]
@@ -148,7 +146,7 @@ def render_beside(found: Score, scenario: Scenario) -> Rendered:
         name = 'cte_m' if column == 'cte_error_m' else 'heading_error_deg'
         beside[f'{column}_2'] = beside[f'rendered_est_{name}'] - beside[name]
     return Rendered(
-        scenario=scenario, rows=rows, slices=sliced(beside, 2)[0],
+        rows=rows, slices=sliced(beside, 2)[0],
         pairs={row: (pixels, shown[row]) for row, pixels in row_pictures(found, list(shown))},
     )
 
