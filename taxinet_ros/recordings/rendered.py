@@ -17,7 +17,7 @@ from taxinet_ros.analysis.report.parts import Picture, Table, Theme
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.core.types import NS_PER_S, AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import dated, estimates_of, local_time, prepared
@@ -42,7 +42,6 @@ def metar_weather(text: str) -> tuple[dict[str, Any], list[str]]:
         UsageError: it says nothing of clouds.
     """
     clouds, rain, unshown = '', 0.0, []
-    order = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
     for word in text.upper().partition(' RMK')[0].split():
         if word in _CLEAR:
             clouds = clouds or 'clear'
@@ -53,7 +52,7 @@ def metar_weather(text: str) -> tuple[dict[str, Any], list[str]]:
                 kind = 'cirrus'
             elif kind == 'overcast' and base < _LOW:
                 kind = 'stratus'
-            clouds = max(clouds or 'clear', kind, key=order.index)
+            clouds = max(clouds or 'clear', kind, key=CLOUDS.index)
         elif found := _RAIN.fullmatch(word):
             rain = max(rain, _RAIN_PERCENT[found[1]] * (0.5 if found[2] == 'DZ' else 1.0))
         elif _UNSHOWN.fullmatch(word):

@@ -1,14 +1,17 @@
 """``taxinet score`` at the command line, also on a run of ours."""
 
 import json
+import math
 import shlex
+import subprocess
 import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
 import recordings
-from synthetic import Drive, record
+from PIL import Image
+from synthetic import Drive, pixels_of, record
 
 from taxinet_ros.bag.run.recording import open_recording
 
@@ -160,3 +163,29 @@ def test_given_recordings_then_labelled_images_are_thinned_and_trained_on(taxine
         ('program', 'training_original'), ('folder', 'one')]
     assert '--add images/one' in card.command_line
     assert card.domain is None
+
+
+def test_given_labelled_frames_when_laid_into_a_bag_then_their_labels_are_the_truth(
+    taxinet, see, tmp_path
+):
+    folder = tmp_path / 'frames'
+    folder.mkdir()
+    rows = ['image,cte_m,heading_error_deg,distance_m']
+    for number in range(40):
+        distance, cte, he = 50 + 0.6 * (number % 20), 3 * math.sin(number / 5), number / 200
+        Image.fromarray(pixels_of(cte, he, (64, 192))).save(folder / f'{number}.png')
+        rows.append(f'{number}.png,{cte},{math.degrees(he)},{distance}')
+    (folder / 'labels.csv').write_text('\n'.join(rows))
+    script = Path(__file__).parents[2] / 'examples/labelled_frames_to_bag.py'
+    subprocess.run(
+        [sys.executable, script, folder, tmp_path / 'laid', '--distance-offset', '29.5'],
+        check=True, capture_output=True)
+    code, out, _ = taxinet('score', 'laid', *KNOWN, '--perception', f'{see}:biased', '--out',
+                           'found', '--json')
+    assert code == 0
+    values = json.loads(out)
+    assert values['frames'] == 40
+    assert (values['cte_mae_m'], values['heading_mae_deg']) == pytest.approx((0.5, 1.0), abs=1e-3)
+    table = pd.read_parquet(tmp_path / 'found/frames.parquet')
+    assert table['distance_m'].iloc[0] == pytest.approx(79.5, abs=1e-3)
+    assert 10 < table['sun_elevation_deg'].iloc[0] < 30
