@@ -1,6 +1,7 @@
 """Recordings with known errors, latency and offsets: they are found within stated bounds."""
 
 import math
+import time
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,8 @@ from synthetic import BEGUN_NS, Drive, path, pixels_of, record
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import NO_TRUTH, OFF_PLACE, OUT_OF_ORDER, STANDING
 from taxinet_ros.recordings.reader import Recording, picture
-from taxinet_ros.recordings.score import worst_rows
+from taxinet_ros.recordings.score import ScoreOptions, score, worst_rows
+from taxinet_ros.recordings.truth import TruthSource
 
 
 def errors(found, network=0):
@@ -170,9 +172,6 @@ def test_given_patterns_of_a_bayer_sensor_then_colours_come_out(tmp_path):
 
 
 def test_given_a_bag_that_was_cut_off_then_it_is_scored_up_to_the_damage(scored, tmp_path, see):
-    from taxinet_ros.recordings.score import ScoreOptions, score
-    from taxinet_ros.recordings.truth import TruthSource
-
     bag = record(tmp_path / 'cut', Drive(seconds=20, size=(40, 60)))
     file = next(bag.glob('*.mcap'))
     file.write_bytes(file.read_bytes()[:-file.stat().st_size // 3])
@@ -192,3 +191,14 @@ def test_given_a_drive_then_its_table_has_one_row_a_frame_and_slices_add_up(scor
         assert sum(parts) == 601, kind
     assert Recording(found.bags[0].recording.path).counts['/cam'] == 601
     assert pixels_of(0, 0, (2, 2)).shape == (2, 2, 3)
+
+
+def test_given_frames_of_our_size_then_two_hundred_a_second_are_scored_on_one_core(tmp_path):
+    bag = record(tmp_path / 'drive', Drive(seconds=20, size=(200, 360)))
+    options = ScoreOptions(
+        bags=(bag,), perception='taxinet', place='kmwh_04',
+        source=TruthSource(topic='/fix', heading='/imu'))
+    score(options)
+    begun_s = time.process_time()
+    found = score(options)
+    assert len(found.table) / (time.process_time() - begun_s) > 200
