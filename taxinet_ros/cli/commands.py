@@ -102,6 +102,10 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             'Find the tightest parameters with which a formula holds for a share of the runs.',
         ),
         'evaluate': ('training.evaluate:evaluate', "Measure a network's errors on single frames."),
+        'score': (
+            'analysis.score:score',
+            'Score networks on recordings: errors against where the aircraft really was.',
+        ),
     },
     'Train': {
         'dataset': ('training.dataset:dataset', 'Render labelled training images of scenes.'),

@@ -72,6 +72,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'spec': ("taxinet spec 'always[10 s:inf](abs(steering) <= 3 deg)'",),
     'mine': ("taxinet mine 'always[T:30](abs(cte) <= A)' bags/found --share 0.95",),
     'evaluate': ('taxinet evaluate s_falsif --perception taxinet --images 500',),
+    'score': (
+        'taxinet score --topics drive',
+        'taxinet score drive --place kmwh_04 --image /camera/image_raw --truth /fix --heading /imu',
+        'taxinet score drive --place mine.yaml --perception mine.onnx --against taxinet --out out',
+    ),
     'dataset': ('taxinet dataset training_full --count 5000 --out bags/pictures',),
     'train': (
         'taxinet train training_full --images 20000 --out mine.safetensors',

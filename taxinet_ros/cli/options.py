@@ -145,7 +145,7 @@ FromOption = Annotated[
     typer.Option(
         '--from', metavar='BAG',
         help="rerun a bag's scenario, with its own perception unless --perception is given, and "
-        "compare",
+        'compare; or the folder of a `taxinet score --simulate`: start where that recording began',
     ),
 ]
 BagArgument = Annotated[

@@ -11,6 +11,7 @@ import importlib
 import time
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock as RclClock
 from rclpy.clock import ClockType
@@ -21,6 +22,8 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
+from taxinet_ros.bag.cdr.decode import decoder
+from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.playback import (
     Check,
@@ -34,6 +37,7 @@ from taxinet_ros.bag.playback import (
     without_transforms,
 )
 from taxinet_ros.bag.run.topics import TF, is_of_frames
+from taxinet_ros.core.perception.network import IMAGE_SHAPE, usual_frame
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes import interface
@@ -42,6 +46,7 @@ from taxinet_ros.nodes.messages.step import TransformBroadcaster
 from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
 from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.recordings.reader import IMAGES, picture, stamp_of
 
 _TICK_S = 0.002
 _DELIVERY_S = 5.0
@@ -77,6 +82,11 @@ USAGE = Usage(
         Parameter(
             name='exclude', default=[''], takes='topic names',
             description='recorded topics to leave out',
+        ),
+        Parameter(
+            name='picture', default='', takes='a topic name',
+            description='recorded Image of any encoding, or CompressedImage, to publish on '
+            'camera/image_raw as rgb8 in the size of our frames',
         ),
         Parameter(
             name='wait_for', default=[''], takes='topic names',
@@ -119,6 +129,8 @@ class BagPlayer(Node):
             raise UsageError(
                 f'bag_player: {name} is in both exclude and wait_for; remove it from one'
             )
+        self._picture = next(iter(
+            known_topics(self._info, [given['picture']], 'picture') - self._excluded), '')
         self._checks: dict[str, Check] = {}
         self._latched: set[str] = set()
         self._speakers = self._speak()
@@ -172,9 +184,14 @@ class BagPlayer(Node):
             if quality.latched:
                 self._latched.add(topic.name)
             package, _, name = topic.type.split('/')
-            kind = getattr(importlib.import_module(f'{package}.msg'), name)
+            kind, target = getattr(importlib.import_module(f'{package}.msg'), name), topic.name
+            if topic.name == self._picture:
+                if topic.type not in IMAGES:
+                    raise UsageError(f'bag_player: picture: {topic.name} is a {topic.type}')
+                self._decode = decoder(topic)
+                kind, target = interface.IMAGE.type, interface.IMAGE.name
             publishers[topic.name] = self.create_publisher(
-                kind, _relative(topic.name), interface.qos_profile(quality)
+                kind, _relative(target), interface.qos_profile(quality)
             )
         if not publishers:
             raise UsageError(f'bag_player: no playable topics left in {self._info.path} to play')
@@ -270,7 +287,8 @@ class BagPlayer(Node):
                 waited += self._deliver(*self._under_way)
                 self._under_way.clear()
             publisher = self._speakers[name]
-            publisher.publish(message.cdr)
+            publisher.publish(
+                self._as_frame(message.cdr) if name == self._picture else message.cdr)
             if name in self._transforms:
                 self._transforms[name].follow(message.cdr)
             self._count += 1
@@ -281,6 +299,16 @@ class BagPlayer(Node):
             elif first:
                 waited += self._deliver(publisher)
         return waited
+
+    def _as_frame(self, cdr: bytes) -> bytes:
+        """A recorded picture as a frame of ours; black if it cannot be read."""
+        message = self._decode(cdr)
+        try:
+            pixels = usual_frame(picture(message))
+        except ValueError as error:
+            self.get_logger().warning(f'a black frame: {error}', once=True)
+            pixels = np.zeros(IMAGE_SHAPE, np.uint8)
+        return image_cdr(pixels, stamp_of(message), message.header.frame_id)
 
     def _deliver(self, *publishers: Publisher) -> float:
         """Wait until reliable subscribers have acknowledged everything, with a time limit.

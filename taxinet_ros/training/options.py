@@ -49,6 +49,8 @@ class TrainOptions:
         validation_program: program of the validation scenes, which are those that a training on it
             with the same seed and number of images would hold out; None for ``program``.
         add: pictures added to those of ``program``, with validation pictures in proportion.
+        add_data: folders of labelled images added to the training, none of which is held out: of
+            a recording, neighbours would be on both sides.
         places: places of the scenes in place of a program, words of
             :func:`~taxinet_ros.training.data.places.named_places`.
         architecture: layers of the network, a name of
@@ -82,6 +84,7 @@ class TrainOptions:
     sampler: str = 'random'
     validation_program: str | None = None
     add: tuple[Portion, ...] = ()
+    add_data: tuple[Path, ...] = ()
     places: tuple[str, ...] = ()
     architecture: str | None = None
     view: str | None = None
@@ -130,11 +133,14 @@ class TrainOptions:
                 raise UsageError(
                     f'train: {name} {given!r} is unknown; known: {", ".join(known)}'
                 )
+        if self.view is not None and self.add_data:
+            raise UsageError('train: --view: of added folders the camera is unknown; leave one out')
 
     def _check_data(self) -> None:
         for option, given in (
             ('--varied', self.varied), ('--sampler', self.sampler != 'random'),
-            ('--validation-program', self.validation_program), ('--add or --add-runs', self.add),
+            ('--validation-program', self.validation_program),
+            ('--add or --add-runs', self.add or self.add_data),
             ('--view', self.view),
         ):
             if given:
@@ -200,6 +206,8 @@ class TrainOptions:
             words += ['--validation-program', self.validation_program]
         for portion in self.add:
             words += ['--add' if portion.kind == 'program' else '--add-runs', str(portion)]
+        for folder in self.add_data:
+            words += ['--add', str(folder)]
         return words
 
     def _numbers(self) -> list[str]:

@@ -120,7 +120,9 @@ def _render_scenes(
         own = (program_source(program),)
         validation_data = () if other is None else (program_source(other),)
         lots = _program_scenes(options, program, progress)
-    sources = (*own, *(portion.source() for portion in options.add))
+    added, folders = load_folders(
+        options.add_data, workers=options.workers, stage='added images', progress=progress)
+    sources = (*own, *(portion.source() for portion in options.add), *folders)
     # The program's own groups come first, so that additions do not change their pictures.
     lots += _added_scenes(options, progress)
     # Only now: a bad program leaves nothing behind.
@@ -133,9 +135,12 @@ def _render_scenes(
     )
     held_back = np.repeat([lot.held_back for lot in lots], [len(lot.scenes) for lot in lots])
     return TrainingData(
-        training=dataset.take(~held_back), validation=dataset.take(held_back),
+        training=dataset.take(~held_back).joined(added), validation=dataset.take(held_back),
         training_data=sources, validation_data=validation_data,
-        domain=_domain(options, [lot.scenes for lot in lots if not lot.held_back]),
+        domain=joined_domains([
+            _domain(options, [lot.scenes for lot in lots if not lot.held_back]),
+            *([folders_domain(options.add_data)] if options.add_data else []),
+        ]),
     )
 
 

@@ -44,7 +44,7 @@ OUTPUT_FOLDERS = {
     'bag replay --out', 'bag split --out', 'bisect --out', 'case-study --out', 'compare --out',
     'dataset --out', 'demo --out', 'estimate --out', 'evidence write --out', 'experiment --out',
     'explain --out', 'falsify --out', 'fork --out', 'gate --out', 'improve --out',
-    'localize --out', 'run --out', 'shrink --out', 'tune --out', 'up --out',
+    'localize --out', 'run --out', 'score --out', 'shrink --out', 'tune --out', 'up --out',
     'why --out',
 }
 
@@ -220,8 +220,8 @@ ARGUMENTS = {
     'gate': ('c',), 'fork': (BAG,), 'train': ('s_falsif', '--out', 'n.safetensors'),
     'analyze': ('c',), 'forecast show': ('f', BAG), 'bag replay': (BAG,),
     'bag compare': (BAG, BAG), 'estimate': ('s_falsif',), 'falsify': ('s_falsif',),
-    'spec': ('phi_always',), 'mine': ('always(cte <= A)', 'c'), 'camera compare': ('c',),
-    'check-node': ('true',),
+    'score': (BAG,), 'spec': ('phi_always',), 'mine': ('always(cte <= A)', 'c'),
+    'camera compare': ('c',), 'check-node': ('true',),
 }
 
 

@@ -67,7 +67,10 @@ def train(
     ] = None,
     add: Annotated[
         list[str] | None,
-        typer.Option(metavar='PROGRAM=COUNT', help='add scenes of another program; repeatable'),
+        typer.Option(
+            metavar='PROGRAM=COUNT|FOLDER', help='add scenes of another program, or a folder of '
+            'labelled images, of a recording; repeatable'
+        ),
     ] = None,
     add_runs: Annotated[
         list[str] | None,
@@ -124,9 +127,10 @@ def train(
         validation_data=validation_data, out=out,
         sampler=sampler, validation_program=validation_program, start=start,
         add=(
-            *(parse_portion(text, 'program') for text in add or ()),
+            *(parse_portion(text, 'program') for text in add or () if not Path(text).is_dir()),
             *(parse_portion(text, 'runs') for text in add_runs or ()),
         ),
+        add_data=tuple(Path(text) for text in add or () if Path(text).is_dir()),
         images=images, validation=validation, varied=varied, augment=augment, epochs=epochs,
         batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, workers=workers,
         overwrite=overwrite, resume=resume,

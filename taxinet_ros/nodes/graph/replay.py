@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -22,20 +22,26 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from taxinet_msgs.msg import NodeStatus, Scenario
 
+from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.rewrite.frames import frame_messages
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.message_values import error_of
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import bag_name
+from taxinet_ros.bag.run.topics import CAMERA_FRAME
 from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING, gains_text
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.step_collector import StepCollector
 from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.scenario import Scenario as Scene
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.user_code import node_command
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, Topic
 from taxinet_ros.nodes.messages.convert import scenario_message
@@ -43,6 +49,7 @@ from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.registry import KMWH
+from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 
 Step = tuple[int, Mapping[str, Sequence[bytes]]]
 """Number of a control step, and its serialised messages by topic of the table."""
@@ -213,6 +220,50 @@ def replay(
         spinning.add(player)
         spin_until(spinning.executor, player.finished)
         return _columns(answer, player.answers)
+
+
+def play_pictures(
+    word: str, pictures: Iterable[NDArray[np.uint8]], scene: Scene, log: Path
+) -> list[TrackingError]:
+    """Play pictures into a perception node in lockstep: the next one when its answer has come.
+
+    Args:
+        word: ``cmd:COMMAND`` that starts the node, in any language.
+        pictures: (H, W, 3) uint8 RGB each, of the scene's camera.
+        scene: names camera and aircraft.
+        log: file for the node's output.
+
+    Returns:
+        Its answers, in order.
+
+    Raises:
+        UsageError: the program does not exist.
+        InfraError: the node failed or timed out.
+    """
+    request = RunRequest(
+        run_id='recording', index=0, program='', seed=0, scenario=scene,
+        judging=DEFAULT_JUDGING, participants=(interface.PERCEPTION,),
+    )
+    steps = (
+        (seq, {interface.IMAGE.name: [image_cdr(one, seq * CONTROL_PERIOD_NS, CAMERA_FRAME)]})
+        for seq, one in enumerate(pictures)
+    )
+    words = node_command(word, interface.PERCEPTION) or []
+    with own_domain() as domain, NodeExecutor(domain) as spinning:
+        node = NodeProcess.of_command(
+            interface.PERCEPTION, words, domain=domain, log=log)
+        try:
+            player = Player(
+                scenario_message(request), steps, target=interface.PERCEPTION,
+                speaks=(interface.IMAGE,), answer=interface.ESTIMATE, per_step=1,
+                executor=spinning.executor, context=spinning.context,
+            )
+            spinning.add(player)
+            spin_until(spinning.executor, player.finished)
+        finally:
+            node.end()
+    return [error_of(player.answers[seq][interface.ESTIMATE.name][0])
+            for seq in sorted(player.answers)]
 
 
 def _inputs(target: str, perception: str) -> tuple[Topic, ...]:

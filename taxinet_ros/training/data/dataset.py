@@ -59,6 +59,16 @@ class Dataset:
             pictures=self.pictures[rows], cte_m=self.cte_m[rows], he_rad=self.he_rad[rows]
         )
 
+    def joined(self, other: Dataset) -> Dataset:
+        """These images, and then those of another one."""
+        if not len(other):
+            return self
+        return Dataset(
+            pictures=np.concatenate([self.pictures, other.pictures]),
+            cte_m=np.concatenate([self.cte_m, other.cte_m]),
+            he_rad=np.concatenate([self.he_rad, other.he_rad]),
+        )
+
 
 def no_progress(stage: str, done: int, total: int) -> None:
     """Progress callback that does nothing."""

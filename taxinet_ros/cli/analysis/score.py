@@ -1,0 +1,293 @@
+"""``taxinet score``: networks on recordings of a real aircraft."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.cli.completion import complete_perception, complete_spec, one_of
+from taxinet_ros.cli.options import (
+    JsonOption,
+    PerceptionCommandOption,
+    ScenarioOption,
+    word_of,
+)
+from taxinet_ros.cli.show import line_console, print_json
+from taxinet_ros.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from taxinet_ros.recordings.score import Score
+    from taxinet_ros.recordings.truth import TruthSource
+
+
+def score(
+    context: typer.Context,
+    bags: Annotated[
+        list[Path], typer.Argument(metavar='BAG…', help='folders or files of rosbag2 recordings')
+    ],
+    place: Annotated[
+        str, typer.Option(help='where it was: a name or file, as `taxinet place` takes; default: '
+        'that of a run of ours')
+    ] = '',
+    image: Annotated[
+        str, typer.Option(metavar='TOPIC', help='Image or CompressedImage; default: the only one')
+    ] = '',
+    truth: Annotated[
+        str,
+        typer.Option(
+            metavar='TOPIC', help='NavSatFix, Odometry or PoseStamped, or /tf:PARENT:CHILD; '
+            'default: the only one'
+        ),
+    ] = '',
+    heading: Annotated[
+        str,
+        typer.Option(
+            metavar='TOPIC', help='Imu, Odometry or PoseStamped with the heading, or track: the '
+            'direction of motion (the default of NavSatFix)'
+        ),
+    ] = '',
+    heading_is: Annotated[
+        str,
+        typer.Option(
+            metavar='KIND', help='enu: counter-clockwise from east (REP-103); compass: clockwise '
+            'from north', autocompletion=one_of('enu', 'compass'),
+        ),
+    ] = 'enu',
+    heading_offset: Annotated[
+        float, typer.Option(metavar='DEG', help='added to the heading, clockwise')
+    ] = 0.0,
+    frame: Annotated[
+        str,
+        typer.Option(
+            metavar='WHERE', help='frame of poses: runway, or LAT,LON of the origin of an '
+            'east-north-up frame'
+        ),
+    ] = '',
+    antenna: Annotated[
+        str,
+        typer.Option(
+            metavar='X,Y', help="what the truth is the place of, from the aircraft's reference "
+            'point [m]: forward, left'
+        ),
+    ] = '0,0',
+    track: Annotated[
+        str, typer.Option(help='line that errors are measured from: runway, or one of the place')
+    ] = '',
+    camera: Annotated[
+        str, typer.Option(help='the camera: a name or a YAML file (docs/world.md), for networks '
+        'and monitors that have to know it')
+    ] = '',
+    aircraft: Annotated[
+        str, typer.Option(help='the aircraft that carries it (default: caravan)')
+    ] = '',
+    perception: Annotated[
+        str, typer.Option(help='network: a name, or a file', autocompletion=complete_perception)
+    ] = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    against: Annotated[
+        str | None, typer.Option(help='second network, compared frame by frame',
+                                 autocompletion=complete_perception)
+    ] = None,
+    latency: Annotated[
+        str,
+        typer.Option(
+            metavar='SECONDS', help='by how much the stamps of the pictures are late, to be taken '
+            'off; or estimated'
+        ),
+    ] = '',
+    stamps: Annotated[
+        str,
+        typer.Option(
+            metavar='WHICH', help='header: when messages were made; log: when they were recorded',
+            autocompletion=one_of('header', 'log'),
+        ),
+    ] = 'header',
+    spec: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--spec', metavar='FORMULA', help='requirement on the recorded path (default: '
+            'phi_always and phi_eventually, which do not change the exit code); repeatable',
+            autocompletion=complete_spec,
+        ),
+    ] = None,
+    monitor: Annotated[
+        str, typer.Option(metavar='MONITOR', help='run-time monitor that judges each estimate, as '
+                          'of `taxinet run --monitor`')
+    ] = '',
+    topics: Annotated[
+        bool, typer.Option('--topics', help='list the topics and what each can be used for')
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help='new folder for frames.parquet, score.json and the page score.html'),
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option('--simulate', help='also render the recorded poses in our world, and '
+                           'show them to the same network')
+    ] = False,
+    settings: ScenarioOption = None,
+    metar: Annotated[
+        str, typer.Option(metavar='TEXT', help='weather of the rendered frames')
+    ] = '',
+    dataset: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help='also write labelled images of the scored frames, thinned '
+                     'to one a metre, a folder for each recording: for `taxinet train --add`')
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Score networks on recordings: errors against where the aircraft really was.
+
+    Takes any rosbag2 with pictures and positions; docs/recordings.md.
+    """
+    if topics:
+        return _list_topics(bags, as_json)
+    from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.recordings.report import score_json, score_report, write_score
+    from taxinet_ros.recordings.score import ScoreOptions
+    from taxinet_ros.recordings.score import score as score_bags
+    from taxinet_ros.trials.options import check_new
+
+    options = ScoreOptions(
+        bags=tuple(bags), perception=word_of(context, 'perception'), against=against or '',
+        place=place, track=track, image=image, camera=camera, aircraft=aircraft, latency=latency,
+        specs=tuple(spec or ()), monitor=monitor, source=_source(
+            truth, heading, heading_is, heading_offset, frame, antenna, stamps),
+    )
+    if out is not None:
+        check_new(out)
+    if not simulate and (settings or metar):
+        raise UsageError(f'{"--set" if settings else "--metar"}: needs --simulate')
+    if simulate and perception_cmd:
+        raise UsageError('--simulate: not with --perception-cmd; play it into the node in a graph')
+    with stage_bars(Console(stderr=True)) as show:
+        found = score_bags(options, show, _play if perception_cmd else None)
+    gap, extra = _rendered(found, settings or [], metar) if simulate else ('', {})
+    if out is None:
+        report = score_report(found, gap, extra)
+        values = score_json(found, report)
+    else:
+        report, values = write_score(found, out, gap, extra)
+    if as_json:
+        print_json(values)
+    else:
+        _print(found, report.summary, out)
+    if dataset is not None:
+        from taxinet_ros.recordings.dataset import write_datasets
+
+        for folder, count in write_datasets(found, dataset).items():
+            line_console(stderr=as_json).print(f'{count} labelled images: {folder}')
+    violated = spec and any(one.verdict == 'VIOLATED' for one in found.verdicts)
+    return ExitCode.VIOLATED if violated else ExitCode.OK
+
+
+def _play(word: str, pictures: Any, scene: Any) -> Any:
+    """Play pictures into the node of a command."""
+    from taxinet_ros.nodes.graph.replay import play_pictures
+
+    with tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as log:
+        return play_pictures(word, pictures, scene, Path(log.name))
+
+
+def _rendered(found: Score, settings: list[str], metar: str) -> tuple[str, dict[str, Any]]:
+    """A sentence on the gap to rendered frames, and its figures."""
+    from taxinet_ros.recordings.rendered import (
+        gap_words,
+        metar_weather,
+        render_beside,
+        rendered_figures,
+        start_scenario,
+    )
+    from taxinet_ros.trials.options import read_settings
+
+    weather, unshown = metar_weather(metar) if metar else ({}, [])
+    if unshown:
+        found.notes.append(f'--metar: {" ".join(unshown)} is not shown by our world')
+    found.start = start_scenario(found, {**weather, **read_settings(settings)})
+    rendered = render_beside(found, found.start)
+    return gap_words(rendered), {'rendered': rendered_figures(found, rendered)}
+
+
+def _source(
+    truth: str, heading: str, heading_is: str, heading_offset: float, frame: str, antenna: str,
+    stamps: str,
+) -> TruthSource:
+    from taxinet_ros.recordings.truth import RUNWAY, TRACK, TruthSource, origin_of
+
+    if heading_is not in ('enu', 'compass'):
+        raise UsageError(f'--heading-is {heading_is}: expected enu or compass')
+    if stamps not in ('header', 'log'):
+        raise UsageError(f'--stamps {stamps}: expected header or log')
+    try:
+        ahead, left = map(float, antenna.split(','))
+    except ValueError:
+        ahead = left = math.nan
+    if not (abs(ahead) <= 50 and abs(left) <= 50):
+        raise UsageError(f'--antenna {antenna!r:.40}: expected X,Y in metres: forward, left')
+    if heading == TRACK and (heading_offset or heading_is != 'enu'):
+        raise UsageError('--heading track: the direction of motion has no convention or offset')
+    if frame not in ('', RUNWAY):
+        origin_of(frame)
+    return TruthSource(
+        topic=truth, heading=heading, frame=frame, compass=heading_is == 'compass',
+        heading_offset_rad=math.radians(heading_offset), antenna_m=(ahead, left),
+        by_log=stamps == 'log',
+    )
+
+
+def _list_topics(bags: list[Path], as_json: bool) -> int:
+    from taxinet_ros.recordings.frames import proposals
+
+    found = {str(bag): proposals(bag) for bag in bags}
+    if as_json:
+        print_json({
+            bag: [dict(zip(('topic', 'type', 'messages', 'use'), row, strict=True))
+                  for row in rows] for bag, rows in found.items()
+        })
+        return ExitCode.OK
+    console = line_console()
+    for bag, rows in found.items():
+        console.print(bag)
+        widths = [max(map(len, map(str, column))) for column in zip(*rows, strict=True)]
+        for row in rows:
+            cells = (f'{word!s:<{width}}' for word, width in zip(row, widths, strict=True))
+            console.print(f'  {"  ".join(cells)}'.rstrip())
+    return ExitCode.OK
+
+
+def _print(found: Score, sentences: tuple[str, ...], out: Path | None) -> None:
+    from taxinet_ros.recordings.report import PAGE_NAME
+
+    console = line_console(width=130)
+    for sentence in sentences:
+        console.print(sentence)
+    table = Table(box=None, pad_edge=False)
+    table.add_column('', no_wrap=True)
+    table.add_column('frames', justify='right')
+    for number in range(len(found.networks)):
+        end = f' {number + 1}' if len(found.networks) > 1 else ''
+        table.add_column(f'cross-track{end} [m]', justify='right')
+        table.add_column(f'heading{end} [deg]', justify='right')
+    for one in found.slices:
+        cells = [
+            _mean_words(means[number]) for number in range(len(found.networks))
+            for means in one.errors.values()
+        ]
+        name = one.name if one.kind == 'all' else f'{one.kind} {one.name}'
+        table.add_row(name, str(one.errors['cte'][0].frames), *cells)
+    console.print(table, soft_wrap=False)
+    if out is not None:
+        console.print(f'page: {out / PAGE_NAME}')
+
+
+def _mean_words(mean: Any) -> str:
+    if math.isnan(mean.value):
+        return '-'
+    around = '' if math.isnan(mean.low) else f' ({mean.low:.2f} to {mean.high:.2f})'
+    return f'{mean.value:.2f}{around}'

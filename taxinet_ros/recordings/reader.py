@@ -1,0 +1,220 @@
+"""Read any rosbag2: MCAP or sqlite3, split, compressed by file or by message.
+
+Bags as our recorder writes them go through :mod:`taxinet_ros.bag`, which compares checksums and
+reads up to the first damage; the others through the library ``rosbags``.
+"""
+
+from __future__ import annotations
+
+import io
+import sqlite3
+import zlib
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from rosbags.rosbag2 import Reader, ReaderError
+
+from taxinet_ros.bag.cdr.decode import decoder
+from taxinet_ros.bag.description import read_description
+from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncated
+from taxinet_ros.bag.reader import stored_messages
+from taxinet_ros.bag.storage.reader import StoredMessage
+from taxinet_ros.bag.topics import TopicInfo, message_definition
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
+
+IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+FIX, IMU = 'sensor_msgs/msg/NavSatFix', 'sensor_msgs/msg/Imu'
+ODOMETRY, POSE = 'nav_msgs/msg/Odometry', 'geometry_msgs/msg/PoseStamped'
+TRANSFORMS, CAMERA_INFO = 'tf2_msgs/msg/TFMessage', 'sensor_msgs/msg/CameraInfo'
+SCENARIO = 'taxinet_msgs/msg/Scenario'
+IMAGES = IMAGE, COMPRESSED
+TRUTHS = FIX, ODOMETRY, POSE, TRANSFORMS
+HEADINGS = IMU, ODOMETRY, POSE
+
+_PICTURES = ('JPEG', 'PNG', 'BMP', 'TIFF', 'WEBP')
+_MOST_PIXELS = 64_000_000
+_DAMAGE = (ReaderError, OSError, sqlite3.Error, ValueError, LookupError, zlib.error, EOFError)
+_CHANNELS = {
+    'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3,
+    'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1,
+}
+_TO_RGB = {
+    'bgr8': cv2.COLOR_BGR2RGB, '8UC3': cv2.COLOR_BGR2RGB, 'rgba8': cv2.COLOR_RGBA2RGB,
+    'bgra8': cv2.COLOR_BGRA2RGB, 'mono8': cv2.COLOR_GRAY2RGB, '8UC1': cv2.COLOR_GRAY2RGB,
+    # OpenCV names a pattern by the second and third pixel of its second row.
+    'bayer_rggb8': cv2.COLOR_BayerBG2RGB, 'bayer_bggr8': cv2.COLOR_BayerRG2RGB,
+    'bayer_gbrg8': cv2.COLOR_BayerGR2RGB, 'bayer_grbg8': cv2.COLOR_BayerGB2RGB,
+}
+
+
+class Recording:
+    """A bag that is read as often as needed.
+
+    Attributes:
+        path: as given.
+        counts: number of messages by topic.
+        types: type by topic.
+        note: one line about damage, up to which the bag is read, or ''.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """List the topics.
+
+        Raises:
+            UsageError: there is no such bag, or nothing in it can be read.
+        """
+        self.path = path
+        self.note = ''
+        self.counts: Counter[str] = Counter()
+        self.types: dict[str, str] = {}
+        if not path.exists():
+            raise UsageError(f'{path}: no such bag; name the folder of a rosbag2, or its file')
+        self._foreign = _needs_rosbags(path)
+        if self._foreign:
+            self._list_foreign()
+        else:
+            for message in self.messages(lambda name: True):
+                self._note(message.topic.name, message.topic.type, 1)
+        if not self.counts:
+            raise UsageError(f'{path}: {self.note or "there is no message in it"}')
+
+    def messages(self, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
+        """Messages of the topics that are wanted, up to the first damage, in their order.
+
+        Raises:
+            UsageError: the bag cannot be read at all.
+        """
+        try:
+            yield from self._foreign_messages(wanted) if self._foreign else stored_messages(
+                self.path, wanted)
+        except (BagTruncated, BagCorrupt) as error:
+            self.note = f'{error}; what lies before it is used'
+        except BagError as error:
+            raise UsageError(str(error)) from error
+
+    def decoded(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time of recording [ns] and decoded message, of some topics.
+
+        Raises:
+            UsageError: the definition of a type is missing in the bag and not installed.
+        """
+        decoders: dict[str, Callable[[bytes], Any]] = {}
+        for message in self.messages(frozenset(topics).__contains__):
+            name = message.topic.name
+            try:
+                if name not in decoders:
+                    decoders[name] = decoder(_with_definition(message.topic))
+                yield name, message.stamp_ns, decoders[name](message.cdr)
+            except BagForeign as error:
+                raise UsageError(f'{self.path}: {error}') from error
+            except BagCorrupt as error:
+                self.note = f'{error}; messages of this kind are left out'
+
+    def of_type(self, types: Collection[str]) -> list[str]:
+        """Topics with messages of some types, the most frequent first."""
+        return [name for name, _ in self.counts.most_common() if self.types[name] in types]
+
+    def _note(self, name: str, kind: str, count: int) -> None:
+        self.counts[name] += count
+        self.types[name] = kind
+
+    def _list_foreign(self) -> None:
+        try:
+            with Reader(self.path) as reader:
+                for one in reader.connections:
+                    if one.msgcount:
+                        self._note(one.topic, one.msgtype, one.msgcount)
+        except _DAMAGE as error:
+            raise UsageError(
+                f'{self.path}: cannot be read: {_line(error)}; try ros2 bag reindex, or name one '
+                'file of it') from error
+
+    def _foreign_messages(self, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
+        try:
+            with Reader(self.path) as reader:
+                chosen = [one for one in reader.connections if wanted(one.topic)]
+                topics = {
+                    (one.topic, one.msgtype): TopicInfo(
+                        name=one.topic, type=one.msgtype, qos='', type_hash='',
+                        definition=one.msgdef.data,
+                    ) for one in chosen
+                }
+                for one, stamp_ns, data in reader.messages(chosen) if chosen else ():
+                    topic = topics[one.topic, one.msgtype]
+                    yield StoredMessage(topic, stamp_ns, bytes(data), stamp_ns)
+        except _DAMAGE as error:
+            raise BagCorrupt(f'{self.path}: damaged: {_line(error)}', path=self.path) from error
+
+
+def _needs_rosbags(path: Path) -> bool:
+    if path.is_file():
+        return path.suffix == '.db3'
+    if any(path.glob('*.db3*')):
+        return True
+    try:
+        return bool(read_description(path).get('compression_mode'))
+    except BagError:
+        return False
+
+
+def _with_definition(topic: TopicInfo) -> TopicInfo:
+    """The topic with the installed definition of its type, where the bag has none."""
+    if topic.definition:
+        return topic
+    return replace(topic, definition=message_definition(topic.type))
+
+
+def _line(error: BaseException) -> str:
+    return ' '.join(str(error).split())[:200] or type(error).__name__
+
+
+def stamp_of(message: Any) -> int:
+    """Stamp of a message's header [ns]; 0 if it has none."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def picture(message: Any) -> NDArray[np.uint8]:
+    """Pixels (H, W, 3) uint8 RGB of a decoded Image or CompressedImage.
+
+    Raises:
+        ValueError: another encoding, or the sizes do not fit; in one line.
+    """
+    return _raw(message) if hasattr(message, 'encoding') else _compressed(message)
+
+
+def _raw(message: Any) -> NDArray[np.uint8]:
+    channels = _CHANNELS.get(message.encoding)
+    if channels is None:
+        known = ', '.join(_CHANNELS)
+        raise ValueError(f'image encoding is {message.encoding!r:.40}; read are {known}')
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    data = np.asarray(message.data, np.uint8)
+    if not (0 < width * channels <= step and height > 0 and len(data) >= height * step):
+        raise ValueError(f'image of {width} x {height} has step {step} and {len(data)} bytes')
+    rows = data[:height * step].reshape(height, step)[:, :width * channels]
+    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
+    if message.encoding == 'rgb8':
+        return pixels
+    if min(height, width) < 2:
+        raise ValueError(f'image is {width} x {height}')
+    return np.asarray(cv2.cvtColor(pixels, _TO_RGB[message.encoding]), np.uint8)
+
+
+def _compressed(message: Any) -> NDArray[np.uint8]:
+    try:
+        with PillowImage.open(io.BytesIO(bytes(message.data)), formats=_PICTURES) as image:
+            if image.width * image.height <= _MOST_PIXELS:
+                return np.asarray(image.convert('RGB'), np.uint8)
+            found = f'has {image.width} x {image.height} pixels'
+    except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError):
+        found = f'cannot be decoded as {"/".join(_PICTURES)}'
+    raise ValueError(f'compressed image of format {message.format!r:.40} {found}')

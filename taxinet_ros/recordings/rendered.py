@@ -1,0 +1,186 @@
+"""The recorded poses in our world: a network on rendered frames, beside the recorded ones."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from taxinet_ros.analysis.report.parts import Picture, Table, Theme
+from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.motion.aircraft import measured_model
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
+from taxinet_ros.core.types import NS_PER_S, AircraftState
+from taxinet_ros.errors import UsageError
+from taxinet_ros.recordings.frames import dated, estimates_of, local_time, prepared
+from taxinet_ros.recordings.report import slice_table
+from taxinet_ros.recordings.score import QUANTITIES, Score, Slice, cell, row_pictures, sliced
+
+MOST_FRAMES = 300
+_PAIRS = 4
+_CLOUD = re.compile(r'(FEW|SCT|BKN|OVC|VV)(\d{3}|///)(?:CB|TCU)?')
+_RAIN = re.compile(r'([-+]?)(?:VC|SH|TS|FZ|DZ)*(RA|DZ)(?:[A-Z]{2})*')
+_UNSHOWN = re.compile(r'[-+]?(?:VC|BL|DR|FZ|MI|BC|PR|SH|TS)*(SN|SG|FG|BR|HZ|DU|SA|FU|GR|GS|PL|IC)+')
+_CLEAR = {'CAVOK', 'SKC', 'CLR', 'NSC', 'NCD'}
+_RAIN_PERCENT = {'-': 20.0, '': 50.0, '+': 90.0}
+_HIGH, _LOW = 200, 10
+"""Bases of clouds [100 ft] from which they are cirrus, and below which an overcast is stratus."""
+
+
+def metar_weather(text: str) -> tuple[dict[str, Any], list[str]]:
+    """Clouds and rain of a METAR as scenario values, and what of it our world does not show.
+
+    Raises:
+        UsageError: it says nothing of clouds.
+    """
+    clouds, rain, unshown = '', 0.0, []
+    for word in text.upper().partition(' RMK')[0].split():
+        if word in _CLEAR:
+            clouds = clouds or 'clear'
+        elif found := _CLOUD.fullmatch(word):
+            base = int(found[2]) if found[2].isdecimal() else 0
+            kind = {'BKN': 'broken', 'OVC': 'overcast', 'VV': 'stratus'}.get(found[1], 'scattered')
+            if kind == 'scattered' and base >= _HIGH:
+                kind = 'cirrus'
+            elif kind == 'overcast' and base < _LOW:
+                kind = 'stratus'
+            clouds = max(clouds or 'clear', kind, key=CLOUDS.index)
+        elif found := _RAIN.fullmatch(word):
+            rain = max(rain, _RAIN_PERCENT[found[1]] * (0.5 if found[2] == 'DZ' else 1.0))
+        elif _UNSHOWN.fullmatch(word):
+            unshown.append(word)
+    if not clouds:
+        raise UsageError(f'--metar {text!r:.60}: names no clouds; expected such as BKN040 or CLR')
+    if rain and clouds not in RAIN_CLOUDS:
+        clouds = RAIN_CLOUDS[0]
+    return {'clouds': clouds, 'rain_percent': rain}, unshown
+
+
+def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
+    """The scenario in which the recording began: start, place, rig, date and hour.
+
+    Args:
+        found: the score.
+        settings: values by key in human units, over those of the recording.
+
+    Raises:
+        UsageError: a value is invalid, or the camera is unknown.
+    """
+    setup, first = found.setup, int(np.flatnonzero(found.scored)[0])
+    if setup.rig is None:
+        raise UsageError('--simulate: needs to know the camera; describe it with --camera FILE')
+    own = found.scenario
+    line, kept = setup.track, {} if own is None else own.to_human()
+    low, high = setup.rig.aircraft.taxi_speed_mps
+    values: dict[str, Any] = {
+        'place': setup.place.text, 'track': line.name, 'camera': setup.rig.camera.text,
+        'aircraft': setup.rig.aircraft.text, **{
+            name: float(np.clip(cell(found.table, first, column), -most, most)) for
+            name, column, most in (
+                ('cross_track_m', 'cte_m', line.farthest_start_m),
+                ('heading_deg', 'heading_error_deg', 89.0))
+        },
+        'distance_m': float(np.clip(cell(found.table, first, 'distance_m'), 0, line.last_start_m)),
+        'speed_mps': float(np.clip(cell(found.table, first, 'speed_mps'), low, high)),
+    }
+    stamp_ns = int(cell(found.table, first, 'stamp_ns'))
+    if own is None and dated(np.array([stamp_ns])):
+        values['date'], time_s = local_time(stamp_ns, setup.place.runway)
+        values['time_of_day_h'] = time_s / 3600
+    offsets = {key: 0.0 for key in kept if key.startswith('camera_d')}
+    return scenario_from_human({**kept, **offsets, **values, **settings})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendered:
+    """A network on recorded frames and on rendered ones of the same poses.
+
+    Attributes:
+        rows: of the table.
+        slices: errors on recorded and on rendered frames, as of two networks.
+        pairs: pictures by row, recorded and rendered, of some.
+    """
+
+    rows: Sequence[int]
+    slices: Sequence[Slice]
+    pairs: Mapping[int, tuple[NDArray[np.uint8], NDArray[np.uint8]]]
+
+
+def render_beside(found: Score, scenario: Scenario) -> Rendered:
+    """Render the poses of up to :data:`MOST_FRAMES` scored frames; show them to the network.
+
+    The table of the score gets the estimates, columns ``rendered_est_…``.
+    """
+    kept = np.flatnonzero(found.scored)
+    rows = kept[np.linspace(0, len(kept) - 1, min(MOST_FRAMES, len(kept))).astype(int)].tolist()
+    [perception] = prepared(found.setup.networks[:1], found.setup.rig)
+    settled = measured_model(scenario.aircraft_model).settled
+    assert settled is not None
+    camera, table = Camera(scenario), found.table
+    seen = np.full((len(table), 2), np.nan)
+    shown: dict[int, NDArray[np.uint8]] = {}
+    chosen = set(rows[::max(1, len(rows) // _PAIRS)][:_PAIRS])
+    for row in rows:
+        state = AircraftState(
+            z_m=settled.z_m, roll_rad=settled.roll_rad, pitch_rad=settled.pitch_rad, **{
+                name: float(cell(table, row, name))
+                for name in ('x_m', 'y_m', 'yaw_rad', 'speed_mps', 'yaw_rate_radps')
+            })
+        pixels = camera.render(state, round(float(cell(table, row, 't_s')) * NS_PER_S))
+        seen[row] = tuple(estimates_of(pixels, [perception], found.setup.rig))
+        if row in chosen:
+            shown[row] = pixels
+    table['rendered_est_cte_m'] = seen[:, 0]
+    table['rendered_est_heading_error_deg'] = np.degrees(seen[:, 1])
+    beside = table.iloc[rows].copy()
+    for _, _, column in QUANTITIES.values():
+        name = 'cte_m' if column == 'cte_error_m' else 'heading_error_deg'
+        beside[f'{column}_2'] = beside[f'rendered_est_{name}'] - beside[name]
+    return Rendered(
+        rows=rows, slices=sliced(beside, 2)[0],
+        pairs={row: (pixels, shown[row]) for row, pixels in row_pictures(found, list(shown))},
+    )
+
+
+def gap_words(rendered: Rendered) -> str:
+    """One sentence on the gap between recorded and rendered frames."""
+    everything = rendered.slices[0]
+
+    def one(quantity: str, unit: str) -> str:
+        (recorded, drawn), gap = everything.errors[quantity], everything.better[quantity]
+        around = '' if math.isnan(gap.low) else f' (gap {gap.low:+.2f} to {gap.high:+.2f})'
+        return f'{recorded.value:.2f} {unit} recorded, {drawn.value:.2f} {unit} rendered{around}'
+
+    return (
+        f'On {len(rendered.rows)} frames and the same poses in our world: '
+        f'{one("cte", "m")} across the track; {one("heading", "deg")} in heading.')
+
+
+def rendered_figures(found: Score, rendered: Rendered) -> list[Picture | Table]:
+    """The pairs of pictures, and the gap by what the frames show."""
+    return [
+        Picture(
+            name='score-rendered', title='Recorded (above) and rendered (below)',
+            size_in=(9.0, 3.0), caption='The same poses; above each the estimated cross-track '
+            'error.', draw=partial(_draw_pairs, found, rendered),
+        ),
+        slice_table(rendered.slices, ('recorded', 'rendered'), 'score-gap'),
+    ]
+
+
+def _draw_pairs(found: Score, rendered: Rendered, figure: Figure, theme: Theme) -> None:
+    grid = figure.subplots(2, len(rendered.pairs), squeeze=False)
+    for column, (row, pictures) in enumerate(rendered.pairs.items()):
+        names = 'est_cte_m', 'rendered_est_cte_m'
+        for axes, pixels, name in zip(grid[:, column], pictures, names, strict=True):
+            axes.imshow(pixels)
+            axes.set_axis_off()
+            axes.set_title(f'{cell(found.table, row, name):+.1f} m', fontsize=8, color=theme.ink)

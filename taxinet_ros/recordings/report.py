@@ -1,0 +1,227 @@
+"""The findings of a score as a page, a table of frames and JSON."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from taxinet_ros.analysis.report.page import write_report
+from taxinet_ros.analysis.report.parts import (
+    Cell,
+    Column,
+    Picture,
+    Report,
+    Table,
+    Theme,
+    style_axes,
+)
+from taxinet_ros.analysis.report.text import fill_report
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
+from taxinet_ros.files.plain_values import json_text, plain
+from taxinet_ros.recordings.score import (
+    NOTABLE_LATENCY_S,
+    QUANTITIES,
+    Score,
+    Slice,
+    cell,
+    row_pictures,
+)
+from taxinet_ros.recordings.statistics import Mean
+
+FRAMES_NAME, JSON_NAME, PAGE_NAME = 'frames.parquet', 'score.json', 'score.html'
+TEXT = Path(__file__).with_name('page.j2')
+_COLUMNS = 4
+
+
+def score_report(found: Score, gap: str = '', extra: Mapping[str, Sequence[Any]] = {}) -> Report:
+    """Report on a score.
+
+    Args:
+        found: the score.
+        gap: a sentence on rendered frames beside.
+        extra: pictures and tables of further sections.
+    """
+    networks = list(found.networks)
+    pictures = dict(row_pictures(found, found.worst))
+    figures: dict[str, Sequence[Picture | Table]] = {
+        'errors': (slice_table(found.slices, networks, 'score-errors'),),
+        'path': tuple(_path_picture(found, quantity) for quantity in QUANTITIES),
+        'worst': (_worst_picture(found, pictures), _worst_table(found)) if pictures else (),
+        'requirements': (_verdict_table(found),),
+        **extra,
+    }
+    return fill_report(TEXT, {
+        's': found, 'e': found.slices[0].errors, 'networks': networks, 'gap': gap,
+        'comparison': found.slices[0].better, 'notable': NOTABLE_LATENCY_S,
+        'names': {name: words for name, (words, _, _) in QUANTITIES.items()},
+        'judged': judged_words(found), 'worst': bool(pictures),
+    }, figures)
+
+
+def judged_words(found: Score) -> dict[str, str]:
+    """By requirement: how many stretches satisfy it, and the least robustness."""
+    words = {}
+    for spec in dict.fromkeys(one.spec for one in found.verdicts):
+        own = [one for one in found.verdicts if one.spec == spec]
+        counts = Counter(one.verdict for one in own)
+        text = ', '.join(f'{count} {verdict}' for verdict, count in counts.items())
+        decided = [one.lower for one in own if one.verdict != 'UNCLEAR']
+        least = f', least rho {min(decided):+.2f}' if decided else ''
+        words[spec] = f'{text} of {len(own)} stretch{"es" if len(own) > 1 else ""}{least}'
+    return words
+
+
+def score_json(found: Score, report: Report) -> dict[str, Any]:
+    """The findings as plain values, without NaN."""
+    first = found.slices[0].errors
+    return plain({
+        'frames': first['cte'][0].frames, 'cte_mae_m': first['cte'][0].value,
+        'heading_mae_deg': first['heading'][0].value,
+        'counts': found.counts, 'frames_alike': found.alike,
+        'networks': found.networks, 'place': found.setup.place.reference,
+        'track': found.setup.track.name, 'image': found.setup.image,
+        'truth': found.setup.source.topic, 'heading': found.setup.source.heading,
+        'bags': [str(one.recording.path) for one in found.bags],
+        'latency': found.latency._asdict(), 'latency_applied_s': found.applied_s,
+        'slices': [
+            {'kind': one.kind, 'name': one.name, 'better': _plain(one.better),
+             'errors': {name: [mean._asdict() for mean in means]
+                        for name, means in one.errors.items()}}
+            for one in found.slices
+        ],
+        'start': None if found.start is None else found.start.to_human(),
+        'verdicts': found.verdicts, 'alarms': found.alarms, 'mirrored': dict(found.mirrored),
+        'notes': found.notes, 'made_on': dict(provenance()), 'sentences': list(report.summary),
+    })
+
+
+def write_score(
+    found: Score, out: Path, gap: str = '', extra: Mapping[str, Sequence[Any]] = {}
+) -> tuple[Report, dict[str, Any]]:
+    """Write the table of frames, JSON and page; return the report and the values of the JSON.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    make_folder(out)
+    write_parquet(out / FRAMES_NAME, found.table)
+    report = score_report(found, gap, extra)
+    values = score_json(found, report)
+    write_atomically(out / JSON_NAME, json_text(values) + '\n')
+    write_report(report, out / PAGE_NAME)
+    return report, values
+
+
+def _plain(means: Mapping[str, Mean]) -> dict[str, dict[str, float]]:
+    return {name: mean._asdict() for name, mean in means.items()}
+
+
+def slice_table(slices: Sequence[Slice], names: Sequence[str], name: str) -> Table:
+    """Table of errors by what the frames show.
+
+    Args:
+        slices: the errors.
+        names: of the networks, or of whatever is compared.
+        name: of the table.
+    """
+    columns = [Column(name='by', title='by'), Column(name='part', title='part'),
+               Column(name='frames', title='frames')]
+    for number, word in enumerate(names, start=1):
+        for quantity, (words, unit, _) in QUANTITIES.items():
+            title = f'{words} [{unit}], {Path(word).name}'
+            columns += [
+                Column(name=f'{quantity}_mae_{unit}_{number}', title=title, decimals=2),
+                Column(name=f'{quantity}_low_{number}', title='from', decimals=2),
+                Column(name=f'{quantity}_high_{number}', title='to', decimals=2),
+            ]
+    rows: list[tuple[Cell, ...]] = []
+    for one in slices:
+        means = [means[number] for number in range(len(names)) for means in one.errors.values()]
+        numbers = [number for mean in means for number in mean[:3]]
+        rows.append((one.kind, one.name, means[0].frames, *numbers))
+    return Table(
+        name=name, title='Mean absolute errors', columns=tuple(columns), rows=tuple(rows),
+        caption='Without interval: fewer than five independent blocks.')
+
+
+def _verdict_table(found: Score) -> Table:
+    return Table(
+        name='score-requirements', title='Requirements', caption='Each uninterrupted stretch is '
+        'judged from its beginning to its end.', columns=(
+            Column(name='bag', title='bag'), Column(name='start_s', title='from [s]', decimals=1),
+            Column(name='duration_s', title='for [s]', decimals=1),
+            Column(name='requirement', title='requirement'),
+            Column(name='verdict', title='verdict'),
+            Column(name='rho', title='rho, at least', decimals=2),
+        ), rows=tuple((Path(one.bag).name, one.start_s, one.duration_s, one.spec, one.verdict,
+                       one.lower) for one in found.verdicts))
+
+
+def _worst_table(found: Score) -> Table:
+    names = ('t_s', 'distance_m', 'cte_m', 'est_cte_m', 'heading_error_deg',
+             'est_heading_error_deg', 'brightness')
+    return Table(
+        name='score-worst', title='The worst frames', caption='Left positive.',
+        columns=(Column(name='bag', title='bag'), *(
+            Column(name=name, title=name.replace('_', ' '), decimals=2) for name in names)),
+        rows=tuple((Path(cell(found.table, row, 'bag')).name, *(
+            float(cell(found.table, row, name)) for name in names)) for row in found.worst))
+
+
+def _path_picture(found: Score, quantity: str) -> Picture:
+    words, unit, _ = QUANTITIES[quantity]
+    return Picture(
+        name=f'score-{quantity}', title=f'{words[:1].upper()}{words[1:]} error of the aircraft, '
+        'and as estimated', draw=partial(_draw_path, found, quantity),
+        caption=f'In {unit}, left positive, by time; only frames that are compared.')
+
+
+def _draw_path(found: Score, quantity: str, figure: Figure, theme: Theme) -> None:
+    axes = figure.subplots()
+    kept = found.table[found.scored]
+    name = 'cte_m' if quantity == 'cte' else 'heading_error_deg'
+    starts = np.concatenate([[0.0], np.cumsum([
+        float(part['t_s'].max()) + 1 for _, part in found.table.groupby('bag', sort=False)])])
+    begun = dict(zip(dict.fromkeys(found.table['bag']), starts, strict=False))
+    t_s = kept['t_s'] + kept['bag'].map(begun)
+    axes.plot(t_s, kept[name], color=theme.ink, linewidth=1.6, label='truth')
+    for number, word in enumerate(found.networks):
+        column = f'est_{name}{"_2" if number else ""}'
+        axes.plot(t_s, kept[column], '.', markersize=2.5, label=Path(word).name,
+                  color=(theme.failed, theme.passed)[number])
+    axes.set_xlabel('time [s]')
+    axes.set_ylabel(f'{QUANTITIES[quantity][0]} error [{QUANTITIES[quantity][1]}]')
+    style_axes(axes)
+    figure.legend(loc='outside upper center', ncols=3, frameon=False, fontsize=9)
+
+
+def _worst_picture(found: Score, pictures: Mapping[int, NDArray[np.uint8]]) -> Picture:
+    rows = math.ceil(len(pictures) / _COLUMNS)
+    return Picture(
+        name='score-frames', title='Pictures', size_in=(9.0, 1.5 * rows),
+        draw=partial(_draw_frames, found, pictures),
+        caption='Above each: time, and cross-track error true and estimated.')
+
+
+def _draw_frames(
+    found: Score, pictures: Mapping[int, NDArray[np.uint8]], figure: Figure, theme: Theme
+) -> None:
+    shown = [row for row in found.worst if row in pictures]
+    grid = figure.subplots(math.ceil(len(shown) / _COLUMNS), _COLUMNS, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for axes, row in zip(grid.flat, shown, strict=False):
+        at: Any = found.table.loc[row]
+        axes.imshow(pictures[row])
+        axes.set_title(
+            f'{at["t_s"]:.1f} s: {at["cte_m"]:+.1f} m, {at["est_cte_m"]:+.1f} m', fontsize=8,
+            color=theme.ink)

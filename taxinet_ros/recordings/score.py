@@ -1,0 +1,604 @@
+"""Score networks on recordings: errors with intervals, requirements, alarms, likely mistakes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from taxinet_ros.core.assurance.checks import Kinematics
+from taxinet_ros.core.assurance.monitor import CalibratedMonitor, Seen, make_monitor
+from taxinet_ros.core.assurance.switch import alarm_of
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, signal_names
+from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.place.catalogue import typed_place
+from taxinet_ros.core.place.track import RUNWAY_TRACK
+from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS, DEFAULT_AIRCRAFT
+from taxinet_ros.core.rig.rig import Rig
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
+from taxinet_ros.core.trace import trace_signals
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.user_code import COMMAND
+from taxinet_ros.errors import UsageError
+from taxinet_ros.recordings.frames import (
+    AFTER_LEAP,
+    OUT_OF_ORDER,
+    SCORED,
+    STATUSES,
+    Frames,
+    NodeAnswers,
+    Progress,
+    Setup,
+    estimates_of,
+    frame_table,
+    own_scenario,
+    pictures_of,
+    place_notes,
+    prepared,
+    read_frames,
+    resolved_source,
+    shown_pictures,
+    the_topic,
+    time_notes,
+)
+from taxinet_ros.recordings.reader import IMAGES, Recording
+from taxinet_ros.recordings.statistics import (
+    Latency,
+    Mean,
+    block_mean,
+    blocks_of,
+    estimate_latency,
+)
+from taxinet_ros.recordings.truth import TruthSource
+from taxinet_ros.training.evaluation import mirrored_errors
+from taxinet_ros.trials.requirements import read_specs
+
+DEFAULT_SPECS = 'phi_always', 'phi_eventually'
+ESTIMATED = 'estimated'
+WORST = 8
+QUANTITIES = {'cte': ('cross-track', 'm', 'cte_error_m'),
+              'heading': ('heading', 'deg', 'heading_error_error_deg')}
+
+_LONGEST_GAP_S = 0.5
+NOTABLE_LATENCY_S = 0.04
+_WORST_APART_S = 1.0
+_FLIPPED = 40
+_SCALES = (
+    ((1 / 0.3048, 'its cross-track error is in feet, expected m'),
+     (0.3048, 'the truth, or its training, is in feet, not m')),
+    ((math.degrees(1), 'its heading error is in degrees, expected rad'),
+     (math.radians(1), 'its heading error is multiplied by pi/180 once too often')),
+)
+"""Of cross-track and heading error: what the scale of the estimates would be, and why."""
+_SCALE_SHARE = 0.2
+_CLEAR_CORRELATION = 0.8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScoreOptions:
+    """What to score, as given by a user; '' or () leaves a choice to the recording.
+
+    Attributes:
+        bags: recordings, each with its own truth.
+        source: of the truth.
+        perception, against: networks; the second may be ''.
+        place, track: where; those of a run of ours by default.
+        image: topic of the pictures.
+        camera, aircraft: the rig; '' is unknown, except for a run of ours.
+        latency: [s], or :data:`ESTIMATED`, or ''.
+        specs: requirements on the recorded path.
+        monitor: run-time monitor, or ''.
+    """
+
+    bags: tuple[Path, ...]
+    source: TruthSource
+    perception: str
+    against: str = ''
+    place: str = ''
+    track: str = ''
+    image: str = ''
+    camera: str = ''
+    aircraft: str = ''
+    latency: str = ''
+    specs: tuple[str, ...] = ()
+    monitor: str = ''
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Slice:
+    """Mean absolute errors on some of the frames.
+
+    Attributes:
+        kind, name: such as ``distance`` and ``0 to 200 m``.
+        errors: by quantity of :data:`QUANTITIES`, one for each network.
+        better: mean of the first network's absolute error less the second's, by quantity; empty
+            for one network.
+    """
+
+    kind: str
+    name: str
+    errors: Mapping[str, tuple[Mean, ...]]
+    better: Mapping[str, Mean]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PathVerdict:
+    """A requirement on an uninterrupted stretch of the recorded path.
+
+    Attributes:
+        bag, start_s, duration_s: the stretch.
+        spec: name of the formula.
+        verdict: SATISFIED, VIOLATED, or UNCLEAR if the stretch does not decide it.
+        lower, upper: robustness.
+    """
+
+    bag: str
+    start_s: float
+    duration_s: float
+    spec: str
+    verdict: str
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Alarms:
+    """What a run-time monitor says of the frames of a recording, thinned to 10 Hz.
+
+    Attributes:
+        monitor: its word.
+        frames: number of frames it saw.
+        alarms: number of frames with an alarm.
+        reasons: alarms by check.
+        first_s: time of the first one in its bag; NaN if there is none.
+    """
+
+    monitor: str
+    frames: int
+    alarms: int
+    reasons: Mapping[str, int]
+    first_s: float
+
+
+@dataclass(kw_only=True, eq=False)
+class Score:
+    """The findings.
+
+    Attributes:
+        setup: what was scored.
+        bags: frames by bag.
+        table: one row a frame, of all bags.
+        scored: mask of the rows that count.
+        networks: words of the networks, with their fingerprints.
+        slices: errors; the first row is of all frames.
+        alike: frames that count as one independent one.
+        latency: estimated.
+        applied_s: latency that was taken off.
+        verdicts: of requirements.
+        alarms: of the monitor.
+        mirrored: errors with the other sign, see :func:`.mirrored_errors`.
+        notes: likely mistakes and limits, one line each.
+        scenario: of a run of ours, or None.
+        worst: rows of the largest errors, the worst first.
+        start: our scenario of how the recording began; None if it was not simulated.
+    """
+
+    setup: Setup
+    bags: list[Frames]
+    table: pd.DataFrame
+    networks: dict[str, str]
+    slices: list[Slice]
+    alike: float
+    latency: Latency
+    applied_s: float
+    verdicts: list[PathVerdict]
+    mirrored: Mapping[str, float]
+    alarms: Alarms | None = None
+    notes: list[str] = field(default_factory=list)
+    scenario: Scenario | None = None
+    worst: list[int] = field(default_factory=list)
+    start: Scenario | None = None
+
+    @property
+    def scored(self) -> NDArray[np.bool_]:
+        """Mask of the rows that are compared with the truth."""
+        return np.asarray(self.table['status'] == SCORED, np.bool_)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of frames by what can be said of them."""
+        found = Counter(self.table['status'])
+        return {status: found[status] for status in STATUSES if found[status]}
+
+
+Play = Callable[[str, Iterator[NDArray[np.uint8]], Scenario], Sequence[TrackingError]]
+"""Plays pictures into the node of a command, and gives its answers."""
+
+
+def score(
+    options: ScoreOptions, progress: Progress = lambda *_: None, play: Play | None = None
+) -> Score:
+    """Score one or two networks on recordings.
+
+    Args:
+        options: what and where.
+        progress: called after each frame.
+        play: what plays pictures into a node, for a perception ``cmd:COMMAND``.
+
+    Raises:
+        UsageError: something cannot be used, or no frame can be compared with the truth; the line
+            names the likely mistake.
+    """
+    if len({path.resolve() for path in options.bags}) < len(options.bags):
+        raise UsageError('score: a recording is named twice; leave one out')
+    recordings = [Recording(path) for path in options.bags]
+    scenario = own_scenario(recordings[0])
+    specs = [parse_spec(text) for text in read_specs(options.specs or DEFAULT_SPECS)]
+    _check_read(specs)
+    setup = make_setup(options, recordings[0], scenario)
+    perceptions: list[Perception] = []
+    if play is not None and setup.networks[0].startswith(COMMAND):
+        perceptions.append(NodeAnswers(play(
+            setup.networks[0], shown_pictures(recordings, setup), _scene(scenario, setup.rig))))
+    perceptions += prepared(setup.networks[len(perceptions):], setup.rig)
+    bags = [read_frames(one, setup, perceptions, progress) for one in recordings]
+    latency = estimate_latency([
+        (one.truth, one.stamps_ns[:one.leap.number], one.estimates[0, :one.leap.number])
+        for one in bags
+    ], setup.track)
+    applied_s = _applied(options.latency, latency)
+    table = pd.concat(
+        [frame_table(one, setup, applied_s) for one in bags], ignore_index=True)
+    notes = [note for one in bags for note in _bag_notes(one, table, setup)]
+    kept = table[table['status'] == SCORED]
+    if not len(kept):
+        raise UsageError(_nothing(table, notes))
+    slices, alike = sliced(table, len(perceptions))
+    estimates, truth = _pairs(kept)
+    mirrored = mirrored_errors(estimates, truth)
+    found = Score(
+        setup=setup, bags=bags, table=table, slices=slices, alike=alike, latency=latency,
+        applied_s=applied_s, mirrored=mirrored, scenario=scenario, worst=worst_rows(table),
+        networks={word: one.fingerprint for word, one in zip(
+            setup.networks, perceptions, strict=True)},
+        verdicts=[one for spec in specs for one in path_verdicts(table, spec)],
+        notes=notes + _scale_notes(estimates, truth, setup.networks[0]),
+    )
+    if mirrored:
+        found.notes.append(_sign_note(found, perceptions[:1]))
+    if options.monitor:
+        found.alarms = _watch(found, options.monitor)
+    return found
+
+
+def make_setup(
+    options: ScoreOptions, recording: Recording, scenario: Scenario | None
+) -> Setup:
+    """What is scored, from the options and, for a run of ours, its scenario.
+
+    Raises:
+        UsageError: the place is unknown, or a topic is missing or not the only one.
+    """
+    if not options.place and scenario is None:
+        raise UsageError('score: --place is missing: a name or file of `taxinet place`')
+    place = typed_place(options.place or (scenario.place if scenario else ''))
+    track = place.track(options.track or (
+        scenario.track if scenario and not options.place else RUNWAY_TRACK))
+    rig = scenario.rig if scenario else None
+    if options.camera or options.aircraft:
+        if not options.camera:
+            raise UsageError('--aircraft: without --camera it has no effect')
+        rig = Rig(camera=CAMERAS.typed(options.camera), aircraft=AIRCRAFT.typed(
+            options.aircraft or DEFAULT_AIRCRAFT))
+    networks = (options.perception, *filter(None, (options.against,)))
+    if len(set(networks)) < len(networks):
+        raise UsageError(f'--against {options.against}: is --perception itself; name another')
+    return Setup(
+        place=place, track=track, rig=rig, networks=networks,
+        image=the_topic(recording, options.image, IMAGES, '--image'),
+        source=resolved_source(options.source, recording, scenario is not None),
+    )
+
+
+def _scene(scenario: Scenario | None, rig: Rig | None) -> Scenario:
+    """A scenario that names camera and aircraft."""
+    if rig is None:
+        return scenario or Scenario()
+    values: dict[str, Any] = {field.attribute: 0.0 for field in CAMERA_OFFSETS}
+    values |= {'camera': rig.camera.text, 'aircraft': rig.aircraft.text}
+    return replace(scenario or Scenario(), **values)
+
+
+def _applied(given: str, latency: Latency) -> float:
+    if given == ESTIMATED:
+        if math.isnan(latency.value_s):
+            raise UsageError(
+                f'--latency estimated: it cannot be estimated here: {latency.why}; give seconds')
+        return latency.value_s
+    try:
+        seconds = float(given or 0)
+    except ValueError:
+        seconds = math.nan
+    if not abs(seconds) <= 10:
+        raise UsageError(f'--latency {given!r:.40}: expected seconds, at most 10, or estimated')
+    return seconds
+
+
+def _bag_notes(frames: Frames, table: pd.DataFrame, setup: Setup) -> Iterator[str]:
+    name = frames.recording.path.name
+    own = table[table['bag'] == str(frames.recording.path)]
+    notes = [*frames.truth.notes, *time_notes(frames, setup.image), *place_notes(own, setup)]
+    notes += frames.notes + ([frames.recording.note] if frames.recording.note else [])
+    if len(frames.cameras) > 1:
+        listed = ', '.join(f'{one or "no name"} ({count})' for one, count in
+                           frames.cameras.most_common(4))
+        notes.append(f'{setup.image}: pictures of two cameras on one topic: {listed}')
+    notes += [f'{setup.image}: {count} pictures: {why}' for why, count in
+              frames.unread.most_common(3)]
+    notes += [f'{setup.source.topic}: {count} samples left out: {why}' for why, count in
+              frames.truth.left_out.items() if count]
+    if frames.truth.spread_m > 0.25:
+        notes.append(
+            f'{setup.source.topic}: states a standard deviation of {frames.truth.spread_m:.2f} m; '
+            'cross-track errors of that size are its own')
+    return (f'{name}: {note}' for note in notes)
+
+
+def _nothing(table: pd.DataFrame, notes: Sequence[str]) -> str:
+    counts = ', '.join(f'{count} {status}' for status, count in Counter(table['status']).items())
+    why = notes[0] if notes else 'see --topics, --truth and --place'
+    return f'score: none of {len(table)} frames can be compared ({counts}): {why}'
+
+
+def _check_read(specs: Sequence[Spec]) -> None:
+    readable = {'cte', 'he', 'x', 'speed', 'cte_estimate', 'he_estimate', 'estimate_gap',
+                'unusable_share'}
+    for spec in specs:
+        for name in signal_names(spec.formula):
+            if name not in readable:
+                raise UsageError(
+                    f'--spec {spec.name}: reads {name}, which a recording does not tell; it tells '
+                    f'{", ".join(sorted(readable))}')
+
+
+def stretches(table: pd.DataFrame) -> NDArray[np.int64]:
+    """Number of the uninterrupted stretch of each row, ascending: of one bag, without a gap."""
+    stamps = table['stamp_ns'].to_numpy(np.int64)
+    apart = (np.diff(stamps) > _LONGEST_GAP_S * NS_PER_S) | (np.diff(stamps) < 0)
+    apart |= table['bag'].to_numpy()[1:] != table['bag'].to_numpy()[:-1]
+    return np.concatenate([[0], np.cumsum(apart)]) if len(stamps) else np.zeros(0, np.int64)
+
+
+def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
+    """Errors of all scored frames and by what they show; and how many count as one."""
+    kept = table[table['status'] == SCORED].reset_index(drop=True)
+    ends = ['', '_2'][:networks]
+    absolute = {
+        name: np.stack([kept[f'{column}{end}'].abs().to_numpy(np.float64) for end in ends])
+        for name, (_, _, column) in QUANTITIES.items()
+    }
+    groups = stretches(kept)
+    blocks, alike = blocks_of(np.concatenate([*absolute.values()]), groups)
+    differences = {quantity: columns[0] - columns[1] for quantity, columns in absolute.items()
+                   if networks > 1}
+    # Errors that both networks share are not in the difference, which is less correlated.
+    paired = {quantity: blocks_of(one[None], groups)[0] for quantity, one in differences.items()}
+    rows = []
+    for kind, name, mask in _masks(kept):
+        errors = {
+            quantity: tuple(block_mean(np.where(mask, one, np.nan), blocks) for one in columns)
+            for quantity, columns in absolute.items()
+        }
+        better = {
+            quantity: block_mean(np.where(mask, one, np.nan), paired[quantity])
+            for quantity, one in differences.items()
+        }
+        rows.append(Slice(kind=kind, name=name, errors=errors, better=better))
+    return rows, alike
+
+
+def _masks(kept: pd.DataFrame) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
+    """Kind, name and mask of the parts with frames, all of them first."""
+    yield 'all', 'all frames', np.ones(len(kept), np.bool_)
+    distance = kept['distance_m']
+    width = next((one for one in (50, 100, 200, 500) if np.ptp(distance) / one <= 8), 1000)
+    edges = np.arange(math.floor(distance.min() / width), distance.max() / width + 1) * width
+    parts = [
+        ('distance', 'm', distance, edges),
+        ('sun', 'deg high', kept['sun_elevation_deg'], np.array([-90, 0, 10, 30, 90])),
+        ('picture', 'mean grey', kept['brightness'], np.array([0, 60, 120, 180, 256])),
+        ('offset', 'm', kept['cte_m'].abs(), np.array([0, 1, 3, 6, 1000])),
+        ('heading', 'deg', kept['heading_error_deg'].abs(), np.array([0, 2, 10, 180])),
+    ]
+    for kind, unit, values, limits in parts:
+        for low, high in pairwise(limits):
+            mask = ((values >= low) & (values < high)).to_numpy(np.bool_)
+            if mask.any():
+                yield kind, f'{low:g} to {high:g} {unit}', mask
+
+
+def cell(table: pd.DataFrame, row: int, column: str) -> Any:
+    """Value of a row and column of the table of frames."""
+    return table[column].to_numpy()[row]
+
+
+def worst_rows(table: pd.DataFrame) -> list[int]:
+    """Rows of the largest errors of the first network, a second apart or more."""
+    kept = table[table['status'] == SCORED]
+    size = sum(
+        (kept[column].abs() / max(float(kept[column].abs().mean()), 1e-9)
+         for _, _, column in QUANTITIES.values()), start=pd.Series(0.0, index=kept.index))
+    found: list[int] = []
+    for row in size.dropna().sort_values(ascending=False, kind='stable').index:
+        stamp, bag = cell(table, row, 'stamp_ns'), cell(table, row, 'bag')
+        if all(cell(table, other, 'bag') != bag or abs(cell(table, other, 'stamp_ns') - stamp)
+               >= _WORST_APART_S * NS_PER_S for other in found):
+            found.append(int(row))
+        if len(found) == WORST:
+            break
+    return found
+
+
+def path_verdicts(table: pd.DataFrame, spec: Spec) -> Iterator[PathVerdict]:
+    """Judge a requirement on each uninterrupted stretch of the recorded path."""
+    known = table[np.isfinite(table['cte_m']) & ~table['status'].isin([OUT_OF_ORDER, AFTER_LEAP])]
+    known = known.reset_index(drop=True)
+    for _, part in known.groupby(stretches(known), sort=True):
+        stamps = part['stamp_ns'].to_numpy(np.int64)
+        if len(stamps) < 2:
+            continue
+        times = stamps - stamps[0]
+        radians = {f'{name}he_rad': np.radians(part[f'{name}heading_error_deg'])
+                   for name in ('', 'est_')}
+        signals = trace_signals(times, {
+            **{name: part[name] for name in ('cte_m', 'speed_mps', 'distance_m', 'est_cte_m')},
+            **radians,
+        })
+        monitor = Monitor(spec, int(times[-1]), max_gap_ns=round(_LONGEST_GAP_S * NS_PER_S))
+        names = signal_names(spec.formula)
+        for at, stamp in enumerate(times.tolist()):
+            monitor.push(stamp, {name: float(signals[name][at]) for name in names})
+        last = monitor.reading
+        decided = last.final and last.valid and math.isfinite(last.lower)
+        word = ('SATISFIED' if last.lower > 0 else 'VIOLATED') if decided else 'UNCLEAR'
+        yield PathVerdict(
+            bag=str(part['bag'].iloc[0]), start_s=float(part['t_s'].iloc[0]), spec=spec.name,
+            duration_s=float(times[-1]) / NS_PER_S, verdict=word, lower=last.lower,
+            upper=last.upper,
+        )
+
+
+def _pairs(kept: pd.DataFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Estimates of the first network and truth, (n, 2) each [m], [rad]."""
+    found = [
+        np.stack([kept[f'{name}cte_m'], np.radians(kept[f'{name}heading_error_deg'])], axis=1)
+        for name in ('est_', '')
+    ]
+    return found[0], found[1]
+
+
+def _scale_notes(
+    estimates: NDArray[np.float64], truth: NDArray[np.float64], network: str
+) -> list[str]:
+    """A line for each quantity whose scale is that of another unit."""
+    known = np.isfinite(estimates).all(axis=1)
+    notes = []
+    for column, reasons in enumerate(_SCALES):
+        seen, real = estimates[known, column], truth[known, column]
+        if len(seen) < WORST or seen.std() == 0 or real.std() == 0:
+            continue
+        if abs(np.corrcoef(seen, real)[0, 1]) < _CLEAR_CORRELATION:
+            continue
+        scale = float(seen.std() / real.std())
+        notes += [
+            f'{network}: estimates are {scale:.3g} times the truth: {why}'
+            for factor, why in reasons if abs(scale / factor - 1) < _SCALE_SHARE
+        ]
+    return notes
+
+
+def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
+    """Which sign is wrong: that of the pictures, or that of one quantity."""
+    names = {'cte_m': 'cross-track', 'he_deg': 'heading'}
+    turned = ' and '.join(names[one] for one in found.mirrored)
+    begun = f'{turned}: the estimates fall where the truth rises'
+    if len(found.mirrored) < len(names):
+        return f'{begun}: the signs of truth or network; left is positive'
+    if isinstance(perceptions[0], NodeAnswers):
+        return f'{begun}: mirrored pictures, or the signs of the truth; left is positive'
+    errors: list[tuple[float, float]] = []
+    for row, pixels in _spread_pictures(found, _FLIPPED):
+        truth = float(cell(found.table, row, 'cte_m'))
+        seen = [next(estimates_of(one, perceptions, found.setup.rig))
+                for one in (pixels, np.ascontiguousarray(pixels[:, ::-1]))]
+        errors.append((abs(seen[0] - truth), abs(seen[1] - truth)))
+    kept, flipped = np.nanmean(np.array(errors), axis=0) if errors else (math.nan, math.nan)
+    if flipped < 0.6 * kept:
+        return (f'{begun}, and in pictures turned left to right the cross-track error is '
+                f'{flipped:.2f} m instead of {kept:.2f} m: the pictures are mirrored')
+    return f'{begun}: the truth is right positive, or its heading is turned; left is positive'
+
+
+def _spread_pictures(
+    found: Score, count: int
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Rows and pictures of up to ``count`` scored frames, evenly spread."""
+    rows = np.flatnonzero(found.scored)
+    yield from row_pictures(found, rows[np.linspace(
+        0, len(rows) - 1, min(count, len(rows))).astype(int)].tolist())
+
+
+def row_pictures(found: Score, rows: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Row and picture of some rows of the table, bag by bag in the order of recording."""
+    for frames in found.bags:
+        own = {
+            int(cell(found.table, row, 'number')): row for row in rows
+            if cell(found.table, row, 'bag') == str(frames.recording.path)
+        }
+        for number, pixels in pictures_of(frames, found.setup.image, list(own)):
+            yield own[number], pixels
+
+
+def _watch(found: Score, word: str) -> Alarms:
+    """Show the frames to a run-time monitor, ten a second."""
+    rig = found.setup.rig
+    if rig is None:
+        raise UsageError(
+            f'--monitor {word}: needs to know the camera; describe it with --camera FILE')
+    monitor = make_monitor(word)
+    kinematics = monitor.calibration.fitted.kinematics if isinstance(
+        monitor, CalibratedMonitor) else None
+    scenario = _scene(found.scenario, rig)
+    reasons, seen, first_s = Counter[str](), 0, math.nan
+    before = -1
+    monitor.begin(scenario)
+    for row, pixels in row_pictures(found, _ten_a_second(found.table)):
+        at: Any = found.table.loc[row]
+        if before < 0 or cell(found.table, before, 'bag') != at['bag']:
+            monitor.begin(scenario)
+        before = row
+        scores = monitor.scores(Seen(
+            image=pixels, estimate=_estimate(at), command=_command(at, kinematics)))
+        alarm = alarm_of(scores, row)
+        seen += 1
+        if alarm is not None:
+            reasons[alarm.reason] += 1
+            first_s = first_s if first_s == first_s else float(at['t_s'])
+    return Alarms(monitor=word, frames=seen, alarms=reasons.total(), reasons=dict(reasons),
+                  first_s=first_s)
+
+
+def _ten_a_second(table: pd.DataFrame) -> list[int]:
+    """Rows of scored frames, each nearest to a multiple of the control period."""
+    kept = table[table['status'] == SCORED]
+    steps = np.rint(kept['stamp_ns'] / CONTROL_PERIOD_NS)
+    off = (kept['stamp_ns'] - steps * CONTROL_PERIOD_NS).abs()
+    nearest = off.groupby([kept['bag'], steps]).idxmin()
+    return sorted(int(row) for row in nearest)
+
+
+def _estimate(row: Any) -> TrackingError:
+    cte_m, heading_deg = float(row['est_cte_m']), float(row['est_heading_error_deg'])
+    known = math.isfinite(cte_m)
+    return TrackingError(cte_m=cte_m if known else 0.0, valid=known,
+                         he_rad=math.radians(heading_deg) if known else 0.0)
+
+
+def _command(row: Any, kinematics: Kinematics | None) -> TaxiCommand:
+    """The command that explains the recorded motion, as recordings of others have none."""
+    speed_mps = max(float(row['speed_mps']), 0.0)
+    per_m = kinematics.turn_per_m if kinematics is not None else 0.0
+    turned = float(row['yaw_rate_radps'])
+    path = speed_mps * per_m
+    steering = math.atan(turned / path) if path and math.isfinite(turned) else 0.0
+    return TaxiCommand(steering_rad=steering, speed_mps=speed_mps)
