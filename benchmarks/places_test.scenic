@@ -1,6 +1,6 @@
 """The scenes of `anywhere` at the 100 places that no training or choice may see.
 
-They judge a network once, after all choices are made: `python examples/place_table.py CAMPAIGN`.
+They judge a network once, after all choices are made: `python benchmarks/place_table.py CAMPAIGN`.
 """
 model runway_world
 

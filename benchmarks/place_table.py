@@ -1,0 +1,58 @@
+"""Print the results of a campaign by place, worst first, and by the runways' width and category.
+
+``python place_table.py CAMPAIGN``: a folder of ``taxinet run`` or ``falsify`` whose program draws
+its place, such as ``places_test.scenic`` here.
+"""
+
+import random
+import statistics
+import sys
+
+import taxinet_ros as tx
+from taxinet_ros.trials.rates import rate
+
+DRAWS = 2000
+
+
+def percent(low_to_high):
+    return '{:.2f} % ({:.2f}-{:.2f})'.format(*(100 * part for part in low_to_high))
+
+
+def over_places(shares):
+    """Mean share of the places, and the 95 % interval of resampled places."""
+    draw = random.Random(0)
+    means = [statistics.fmean(draw.choices(shares, k=len(shares))) for _ in range(DRAWS)]
+    found = statistics.quantiles(means, n=40, method='inclusive')
+    return statistics.fmean(shares), found[0], found[-1]
+
+
+def print_row(title, rows):
+    satisfied, off = (rows.outcome == 'PASS').sum(), rows.left_runway.sum()
+    cells = [title, len(rows), percent(rate(satisfied, len(rows))), percent(rate(off, len(rows)))]
+    print('|', ' | '.join(map(str, cells)), '|')
+
+
+def print_tables(folder):
+    campaign = tx.open_campaign(folder)
+    rows = campaign.rows[campaign.rows.outcome.isin(['PASS', 'FAIL'])].copy()
+    first = {row.place: row for row in campaign.recorded.rows}
+    runways = {place: campaign.recorded.scenario(first[place])[0].runway for place in first}
+    rows['runway'] = [
+        f'{place.split("@")[0]}, {runways[place].width_m:.0f} m, {runways[place].category}'
+        for place in rows.place
+    ]
+    rows['width'] = [f'{runways[place].width_m:.0f} m wide' for place in rows.place]
+    rows['category'] = [runways[place].category for place in rows.place]
+    passed = rows.assign(passed=rows.outcome == 'PASS').groupby('runway').passed.mean()
+    print('| runs | n | satisfied | leave the runway |')
+    print('| --- | --- | --- | --- |')
+    print_row('all', rows)
+    for key in ('width', 'category'):
+        for name, some in rows.groupby(key):
+            print_row(name, some)
+    for name in passed.sort_values(kind='stable').index:
+        print_row(name, rows[rows.runway == name])
+    print(f'mean of {len(passed)} places: {percent(over_places(list(passed)))}')
+
+
+print_tables(sys.argv[1])
