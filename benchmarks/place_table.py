@@ -4,9 +4,14 @@
 its place, such as ``places_test.scenic`` here.
 """
 
+from __future__ import annotations
+
 import random
 import statistics
 import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 import taxinet_ros as tx
 from taxinet_ros.trials.rates import rate
@@ -14,11 +19,12 @@ from taxinet_ros.trials.rates import rate
 DRAWS = 2000
 
 
-def percent(low_to_high):
+def percent(low_to_high: Iterable[float]) -> str:
+    """Display text of a share and its interval."""
     return '{:.2f} % ({:.2f}-{:.2f})'.format(*(100 * part for part in low_to_high))
 
 
-def over_places(shares):
+def over_places(shares: Sequence[float]) -> tuple[float, float, float]:
     """Mean share of the places, and the 95 % interval of resampled places."""
     draw = random.Random(0)
     means = [statistics.fmean(draw.choices(shares, k=len(shares))) for _ in range(DRAWS)]
@@ -26,13 +32,15 @@ def over_places(shares):
     return statistics.fmean(shares), found[0], found[-1]
 
 
-def print_row(title, rows):
+def print_row(title: str, rows: Any) -> None:
+    """Print a row of the table."""
     satisfied, off = (rows.outcome == 'PASS').sum(), rows.left_runway.sum()
     cells = [title, len(rows), percent(rate(satisfied, len(rows))), percent(rate(off, len(rows)))]
     print('|', ' | '.join(map(str, cells)), '|')
 
 
-def print_tables(folder):
+def print_tables(folder: Path) -> None:
+    """Print the table of a campaign."""
     campaign = tx.open_campaign(folder)
     rows = campaign.rows[campaign.rows.outcome.isin(['PASS', 'FAIL'])].copy()
     first = {row.place: row for row in campaign.recorded.rows}
@@ -55,4 +63,4 @@ def print_tables(folder):
     print(f'mean of {len(passed)} places: {percent(over_places(list(passed)))}')
 
 
-print_tables(sys.argv[1])
+print_tables(Path(sys.argv[1]))

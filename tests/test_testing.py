@@ -271,3 +271,23 @@ def test_given_no_name_when_checked_then_that_is_said(
 def test_given_the_kit_when_imported_then_pytest_is_not_needed() -> None:
     assert 'taxinet_ros.testing' in sys.modules
     assert 'import pytest' not in Path(sys.modules['taxinet_ros.testing'].__file__).read_text()
+
+
+RACE = """Traceback (most recent call last):
+  File "executors.py", line 673, in _wait_for_ready_callbacks
+rclpy._rclpy_pybind11.RCLError: failed to initialize wait set: the given context is not valid, \
+either rcl_init() was not called or rcl_shutdown() was called., at wait.c:130
+"""
+OWN = 'Traceback (most recent call last):\n  File "mine.py", line 1\nKeyError: 3\n'
+
+
+@pytest.mark.parametrize(('printed', 'shows'), [
+    ('goodbye\n', False), (RACE, False), (OWN, True), (RACE + OWN, True),
+    (RACE.replace('context is not valid', 'publisher is gone'), True),
+])
+def test_given_what_a_node_prints_at_its_end_then_only_its_own_tracebacks_count(
+    printed: str, shows: bool
+) -> None:
+    from taxinet_ros.testing.stage import shows_traceback  # imports rclpy
+
+    assert shows_traceback(printed) is shows

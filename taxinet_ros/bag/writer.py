@@ -247,8 +247,8 @@ def check_room(folder: Path, wanted_bytes: int) -> None:
     Raises:
         UsageError: there is less.
     """
-    free = shutil.disk_usage(folder).free
-    if free < wanted_bytes:
+    total, _, free = shutil.disk_usage(folder)
+    if total and free < wanted_bytes:  # no disk, such as /proc, has no size
         raise UsageError(
             f'{folder}: {free / 1e9:.3f} GB free on the disk, {wanted_bytes / 1e9:.3f} GB wanted; '
             'make room or record elsewhere'

@@ -27,6 +27,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN,
     SKY,
     TIME_OF_DAY,
+    TRACK,
     along_words,
     clock_words,
     unusual_words,
@@ -51,7 +52,7 @@ _MOST_NAMED = 5
 _MOST_COLUMNS = 100
 _NOTES_END = 45
 _COLUMNS = '  run                    farthest              start left  nose   along  time, sky'
-_USUAL = ('', DEFAULT_PLACE, DEFAULT_AIRCRAFT, DEFAULT_CAMERA)
+_USUAL = ('', DEFAULT_PLACE, DEFAULT_AIRCRAFT, DEFAULT_CAMERA, RUNWAY_TRACK)
 
 ON_STANDING_GRAPH = 'on the graph that runs'
 """Text for nodes that were started externally."""
@@ -350,7 +351,7 @@ def circumstances(scene: Mapping[str, Any]) -> str:
         f'rain {_percent(rain)} %' if rain else '',
     ]))
     named = ((key, str(scene.get(key) or '')) for key in (
-        PLACE.key, AIRCRAFT_MODEL.key, CAMERA.key))
+        PLACE.key, TRACK.key, AIRCRAFT_MODEL.key, CAMERA.key))
     where = ''.join(f', {key} {name.partition("@")[0]}' for key, name in named
                     if name not in _USUAL)
     return f'{words}{unusual_words(scene)}{where}'.lstrip(' ,')
