@@ -441,8 +441,8 @@ class _Stage:
 def shows_traceback(printed: str) -> bool:
     """Whether a process that was to end printed a traceback of its own making.
 
-    A signal between two lines of rclpy's spin is none: in one ending of a hundred it raises RCLError
-    there instead of ExternalShutdownException.
+    A signal between two lines of rclpy's spin is none: there it raises RCLError instead of
+    ExternalShutdownException, in one ending of a hundred.
     """
     of_rclpy = len(re.findall(r'^rclpy\S*RCLError: .*context is not valid', printed, re.MULTILINE))
     return printed.count('Traceback (most recent call last)') > of_rclpy

@@ -80,7 +80,8 @@ def test_given_a_track_when_run_then_it_is_in_the_table_and_the_run_can_be_repea
         '--out', tmp_path / 'out',
     )
     assert done.returncode == 0, done.stderr
-    assert re.search(r' 200 m .*, track exit_left$', done.stdout, re.MULTILINE)
+    assert 'scene: track exit_left\n' in done.stdout
+    assert re.search(r'° +200 m  10:02 clear$', done.stdout, re.MULTILINE)
     assert ',exit_left,' in (tmp_path / 'out' / 'runs.csv').read_text()
     bag = tmp_path / 'out' / 'nominal-s0-00000'
     info = taxinet('bag', 'info', bag)
