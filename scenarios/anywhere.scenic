@@ -1,4 +1,4 @@
-"""S_falsif at any place: `--set place=lowi.yaml`, or a line `param place = 'lowi.yaml'` in a copy.
+"""S_falsif at any place, which --set or another program's `param place` names.
 
 All of daylight, all of the weather, and the whole runway, whatever its length.
 """

@@ -85,6 +85,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'network from-nnet': (
         'taxinet network from-nnet TinyTaxiNet.nnet --out tiny.onnx --description tinytaxinet',
     ),
+    'network describe': ('taxinet network describe my_net.onnx',),
     'network see': ('taxinet network see tiny.onnx --set distance=400 --set cross_track=3',),
     'improve': ('taxinet improve s_falsif --start original --rounds 2 --out bags/improved',),
     'tune': (

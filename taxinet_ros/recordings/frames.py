@@ -25,6 +25,7 @@ from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.topics import ODOMETRY
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.reader import (
@@ -164,7 +165,7 @@ def resolved_source(source: TruthSource, recording: Recording, own: bool) -> Tru
         UsageError: a choice is left, or an option has no effect.
     """
     if not source.topic and own:
-        odometry = [name for name in recording.types if name.endswith('ground_truth/odom')]
+        odometry = [name for name in recording.types if name.endswith(ODOMETRY.name)]
         source = replace(source, topic=odometry[0] if len(odometry) == 1 else '')
     topic = the_topic(recording, source.topic, TRUTHS, '--truth')
     source = replace(source, topic=topic)

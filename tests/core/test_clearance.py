@@ -170,7 +170,7 @@ def test_given_nobody_to_be_near_then_a_formula_about_it_is_refused_by_name(name
 def test_given_that_somebody_may_be_there_then_the_formula_is_not_refused_and_its_range_is_known():
     spec = parse_spec('no_collision')
     assert check_specs([spec], Scenario()).warnings == ()
-    assert 'clearance between 0 m and 1000 m' in check_specs([spec], Scenario()).lines[0]
+    assert 'clearance between 0 m and 1000 m' in check_specs([spec], Scenario()).reaches[0]
     with pytest.raises(tx.UsageError):
         check_others([spec], Scenario())
     check_others([SHIPPED['phi_always']], Scenario())

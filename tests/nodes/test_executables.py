@@ -70,7 +70,7 @@ def test_given_a_domain_that_is_none_then_the_node_says_so_and_no_exit_code_is_a
         ('taxinet_perception', 'weights:=gone.safetensors', 'no such file'),
         ('ground_truth_perception', 'weights:=x', "unknown parameter 'weights'"),
         ('recorder', 'min_free:=-5', 'min_free'),
-        ('scenario_sampler', 'program:=nowhere', 'known: crossing'),
+        ('scenario_sampler', 'program:=nowhere', 'known: anywhere, crossing'),
         ('runtime_monitor', 'monitor:=nothing', "monitor: 'nothing' is unknown; known: original"),
         ('bag_player', 'bag:=gone.mcap', 'gone.mcap'),
         ('scene_markers', 'colour:=red', "unknown parameter 'colour'"),

@@ -54,7 +54,7 @@ def test_given_a_run_of_ours_then_rendered_frames_are_like_the_recorded_and_a_ru
     code, out, _ = taxinet('run', '--from', 'scored', '--engine', 'loop', '--out', 'again',
                            '--set', 'duration=1', '--exit-zero')
     assert code == 0
-    assert 'at 1000 m' in out
+    assert '  1000 m' in out
     assert '16:00 cirrus' in out
 
 

@@ -119,7 +119,7 @@ def test_s11_every_shipped_table_has_every_documented_column(path):
         name.strip('`') for row in rows if row != keys
         for name in row.split('|')[1].replace(',', ' ').split()
     )}
-    patterns = {'u_*', 'he_error_*_deg', 'rho_<formula>', 'rho_lower.<formula>',
+    patterns = {'u_*', 'sigma_*', 'he_error_*_deg', 'rho_<formula>', 'rho_lower.<formula>',
                 'rho_upper.<formula>'}
     assert patterns < documented
     table = read_table(path)
