@@ -91,5 +91,6 @@ def test_f7_given_a_signal_at_the_start_then_it_ends_in_one_line(number, tmp_pat
             time.sleep(moment_s)  # not waited for: the moment is the point
             command.send_signal(number)
             _, err = command.communicate()
-        assert command.returncode == 128 + number, err
+        # A shell has one code for both; before the command handles signals, the system does.
+        assert command.returncode in (128 + number, -number), err
         assert err in ('', 'taxinet: interrupted\n')
