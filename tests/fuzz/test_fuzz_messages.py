@@ -110,7 +110,8 @@ def test_given_steps_beyond_all_numbers_when_traced_then_one_line(tmp_path: Path
         if topic.name == TRUTH else topic for topic in run_topics()
     ]
     head = struct.pack('<iI', 0, 0) + _text('map') + _text('r')
-    body = head + bytes(-len(head) % 8) + struct.pack('<Qdd?7x4d', 2**64 - 1, 0.0, 0.0, True, *[0.0] * 4)
+    answer = struct.pack('<Qdd?7x4d', 2**64 - 1, 0.0, 0.0, True, *[0.0] * 4)
+    body = head + bytes(-len(head) % 8) + answer
     path = write(tmp_path / 'run', [(TRUTH, 0, b'\0\1\0\0' + body)], topics)
     assert end_of(lambda: open_recording(path).columns) == 'BagForeign'
 
