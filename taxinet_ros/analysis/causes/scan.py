@@ -92,7 +92,7 @@ def _x_log_x(most: int) -> Floats:
 def size_penalty(inside: npt.NDArray[Any], runs: int) -> Floats:
     """Value of the root of twice the ratio that regions of a given size reach by chance."""
     smaller = np.minimum(inside, runs - inside)
-    penalty: Floats = np.sqrt(2 * np.log(np.e * runs / np.maximum(smaller, 1.0)))
+    penalty: Floats = np.sqrt(2 * np.log(math.e * runs / np.maximum(smaller, 1.0)))
     return penalty
 
 
