@@ -1,4 +1,4 @@
-# ruff: noqa: I001
+# ruff: noqa: I001 (taxinet_ros has to be imported first)
 """Lay a folder of labelled frames into a rosbag2 with NavSatFix and heading, for ``taxinet score``.
 
 The labels (``labels.csv``: image, cte_m, heading_error_deg, distance_m along the runway) become

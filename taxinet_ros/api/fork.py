@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -55,7 +54,7 @@ from taxinet_ros.core.scenario_fields import (
     along_words,
     by_key,
 )
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, yaw_of
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.registry import KMWH
@@ -375,8 +374,7 @@ def _motion(
         return (
             scenario.distance_m, scenario.cross_track_m, scenario.heading_rad, scenario.speed_mps
         )
-    x, y, z, w = (there[f'q{axis}'] for axis in 'xyzw')
-    yaw_rad = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    yaw_rad = yaw_of(*(there[f'q{axis}'] for axis in 'xyzw'))
     return *scenario.line.measure(there['x'], there['y'], yaw_rad), there['speed']
 
 

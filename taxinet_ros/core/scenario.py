@@ -400,6 +400,7 @@ def _init_in_any_units(self: Scenario, **values: Any) -> None:
     _init(self, **given)
 
 
+# On the class itself, so that dataclasses.replace and copies take such values, too.
 Scenario.__init__ = _init_in_any_units  # type: ignore[method-assign]
 
 

@@ -185,6 +185,11 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
     )
 
 
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """Yaw [rad] of a unit quaternion, as :func:`quaternion` has it."""
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
 def quaternion_product(
     outer: tuple[float, float, float, float], inner: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, runway_frame
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, yaw_of
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.reader import FIX, HEADINGS, TRANSFORMS, Recording, stamp_of
 
@@ -429,7 +429,7 @@ def _yaw(turned: Any) -> float:
     norm = x * x + y * y + z * z + w * w
     if not norm > 0.5:
         return math.nan
-    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return yaw_of(x, y, z, w)
 
 
 def _of_geodetic(

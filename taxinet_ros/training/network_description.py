@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.perception.eye import VIEWS, find_eye
 from taxinet_ros.core.perception.network import INPUT_SHAPE, usual_frame
 from taxinet_ros.core.perception.onnx.network import NetworkFiles, OnnxNetwork, prepare
-from taxinet_ros.core.perception.onnx.sidecar import CHANNELS, file_error, sidecar_path
+from taxinet_ros.core.perception.onnx.sidecar import CHANNELS, UNITS, file_error, sidecar_path
 from taxinet_ros.core.perception.onnx.trial import tried_network
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
@@ -38,7 +38,6 @@ _SNAP = 0.08
 _USUAL = (1.0, 2.0, 5.0, 8.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 90.0, 100.0, 180.0)
 _NEGLIGIBLE = 0.1
 """An offset below this share of the truth's deviation is left out."""
-_UNITS = {'cte': {'m': 1.0}, 'heading_error': {'deg': math.radians(1.0), 'rad': 1.0}}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,17 +89,29 @@ class Way:
         return f'{", ".join(filter(None, parts))}: {shares}'
 
 
-def find_ways(path: Path, scenes: Sequence[Scenario]) -> list[Way]:
+class Shapes(NamedTuple):
+    """What the file of a network says.
+
+    Attributes:
+        picture: shape of the input without the batch; 0 is a side of any length.
+        outputs: number of output numbers.
+    """
+
+    picture: tuple[int, ...]
+    outputs: int
+
+
+def find_ways(path: Path, shapes: Shapes, scenes: Sequence[Scenario]) -> list[Way]:
     """The ways in which a network can be fed, best first.
 
     Args:
         path: ``NAME.onnx``.
+        shapes: its shapes.
         scenes: scenes whose first frames it sees.
 
     Raises:
-        UsageError: its input is no picture, its outputs have no shape, or it cannot be used.
+        UsageError: its input is no picture, or it cannot be used.
     """
-    shape, outputs = _shapes(path)
     taken = [photograph(scene) for scene in scenes]
     truth = np.array([(label.cte_m, label.he_rad) for _, label in taken])
     frames = [usual_frame(frame) for frame, _ in taken]
@@ -108,8 +119,8 @@ def find_ways(path: Path, scenes: Sequence[Scenario]) -> list[Way]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.name
         shutil.copyfile(path, copy)
-        for number, prepared in enumerate(_prepared(path, shape)):
-            content = {**prepared, 'outputs': _unknown(outputs)}
+        for number, prepared in enumerate(_prepared(path, shapes.picture)):
+            content = {**prepared, 'outputs': _unknown(shapes.outputs)}
             sidecar_path(copy).write_text(yaml.safe_dump(content), encoding='utf-8')
             if number == 0:
                 _try(path, copy)
@@ -141,17 +152,12 @@ def description(way: Way, outputs: int, about: str) -> str:
     return f'# {about}\n{yaml.safe_dump(content, sort_keys=False, default_flow_style=None)}'
 
 
-def output_count(path: Path) -> int:
-    """The number of outputs of a network.
+def read_shapes(path: Path) -> Shapes:
+    """Read the shapes of a network.
 
     Raises:
-        UsageError: as :func:`find_ways`.
+        UsageError: the file is no ONNX model, or its outputs have no shape.
     """
-    return _shapes(path)[1]
-
-
-def _shapes(path: Path) -> tuple[tuple[int, ...], int]:
-    """Shape of the input without the batch, and the number of output numbers."""
     import onnx
 
     try:
@@ -173,9 +179,9 @@ def _shapes(path: Path) -> tuple[tuple[int, ...], int]:
             raise file_error(
                 path, f'output {one.name} has no shape; write {sidecar_path(path).name} yourself')
         numbers += math.prod(dims[1:])
-    if numbers < len(_UNITS):
+    if numbers < len(UNITS):
         raise file_error(path, f'has {numbers} output numbers; the steering needs two')
-    return tuple(sides), numbers
+    return Shapes(tuple(sides), numbers)
 
 
 def _prepared(path: Path, shape: tuple[int, ...]) -> Iterator[dict[str, Any]]:
@@ -212,17 +218,17 @@ def _try(path: Path, copy: Path) -> None:
 def _unknown(outputs: int, fits: Sequence[Fit] = ()) -> list[dict[str, Any]]:
     """Entries of the outputs; of those without a fit some that can be read."""
     known = {fit.output: _entry(fit) for fit in fits}
-    missing = [key for key in _UNITS if key not in {fit.quantity for fit in fits}]
+    missing = [key for key in UNITS if key not in {fit.quantity for fit in fits}]
     for key in missing:
         free = next(number for number in range(outputs) if number not in known)
         known[free] = {
-            'quantity': key, 'unit': next(iter(_UNITS[key])), 'positive': 'left', 'scale': 1.0}
+            'quantity': key, 'unit': next(iter(UNITS[key])), 'positive': 'left', 'scale': 1.0}
     return [known.get(number, {'quantity': 'ignore'}) for number in range(outputs)]
 
 
 def _entry(fit: Fit) -> dict[str, Any]:
     """A fit in the unit whose factor is a usual one, else in the first."""
-    units = _UNITS[fit.quantity]
+    units = UNITS[fit.quantity]
     unit, factor = next(
         ((unit, _snapped(abs(fit.factor) / size)) for unit, size in units.items()
          if _snapped(abs(fit.factor) / size) in _USUAL),
@@ -248,7 +254,7 @@ def _fits(answers: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[Fit
     """The pair of different outputs that explains the truths best."""
     table = [
         [_fit(output, quantity, answers[:, output], truth[:, column])
-         for column, quantity in enumerate(_UNITS)]
+         for column, quantity in enumerate(UNITS)]
         for output in range(answers.shape[1])
     ]
     pairs = itertools.permutations(range(len(table)), 2)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from taxinet_ros.core.perception.eye import VIEWS
-from taxinet_ros.core.perception.network import ARCHITECTURES
+from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from taxinet_ros.core.perception.weights import SUFFIX, Source, card_path
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import SAMPLERS
@@ -125,6 +125,11 @@ class TrainOptions:
         elif self.places and (self.sampler != 'random' or self.validation_program):
             option = '--validation-program' if self.validation_program else '--sampler'
             raise UsageError(f'train: {option} goes with a program, not with --place')
+
+    @property
+    def architecture_name(self) -> str:
+        """The architecture, or the default one."""
+        return self.architecture or DEFAULT_ARCHITECTURE
 
     def _check_words(self) -> None:
         for name, known in (('view', VIEWS), ('architecture', ARCHITECTURES)):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taxinet_ros.core.perception.domain import Domain, domain_of_scenes, joined_domains
-from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
+from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.core.perception.weights import (
     Model,
     ModelCard,
@@ -299,7 +299,7 @@ def _write(
     """Write weights, card and curves."""
     data = to_bytes(fitted.weights)
     card = ModelCard(
-        architecture=options.architecture or DEFAULT_ARCHITECTURE,
+        architecture=options.architecture_name,
         training_data=material.training_data,
         validation_data=material.validation_data,
         seed=options.seed,
@@ -338,7 +338,7 @@ def _fit(
         seed=options.seed, patience=options.patience, augmented=options.augment,
         mirrored=options.augment and options.view is not None,
     )
-    architecture = ARCHITECTURES[options.architecture or DEFAULT_ARCHITECTURE]
+    architecture = ARCHITECTURES[options.architecture_name]
     return fit(
         architecture, material.training, material.validation, recipe, progress,
         None if start is None else start.weights, options.unfinished / 'epochs.pt',
@@ -351,7 +351,7 @@ def _measure(
     from taxinet_ros.core.perception.network import TaxiNet
     from taxinet_ros.training.accuracy import absolute_errors, error_statistics
 
-    network = TaxiNet(ARCHITECTURES[options.architecture or DEFAULT_ARCHITECTURE], weights)
+    network = TaxiNet(ARCHITECTURES[options.architecture_name], weights)
     return error_statistics(absolute_errors(network, held_back))
 
 

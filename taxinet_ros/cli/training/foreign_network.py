@@ -95,14 +95,14 @@ def describe(
         LEAST_EXPLAINED,
         description,
         find_ways,
-        output_count,
+        read_shapes,
     )
 
     beside = sidecar_path(network)
     if beside.exists() or beside.is_symlink():
         raise UsageError(f'{beside} already exists; move it away, or use it as it is')
-    outputs = output_count(network)
-    best, second, *_ = find_ways(network, draw_scenes(program, seed=0, images=images))
+    shapes = read_shapes(network)
+    best, second, *_ = find_ways(network, shapes, draw_scenes(program, seed=0, images=images))
     print(f'best of the usual ways, on {images} pictures of {program}:\n  {best.words()}')
     print(f'next:\n  {second.words()}')
     if best.explained < LEAST_EXPLAINED:
@@ -112,7 +112,7 @@ def describe(
             f'write {beside.name} yourself (docs/onnx.md)'
         )
     about = f'Found by taxinet network describe on {images} pictures of {program}; check it.'
-    write_atomically(beside, description(best, outputs, about).encode())
+    write_atomically(beside, description(best, shapes.outputs, about).encode())
     print(f'written: {beside}; look at it, then: taxinet network see {network}')
 
 

@@ -18,7 +18,7 @@ from taxinet_ros.core.perception.onnx.trial import tried_network
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.dataset import draw_scenes
 from taxinet_ros.training.data.photographs import photograph
-from taxinet_ros.training.network_description import description, find_ways, output_count
+from taxinet_ros.training.network_description import description, find_ways, read_shapes
 
 HEIGHT, WIDTH = 20, 36
 
@@ -73,10 +73,11 @@ def test_given_a_network_then_its_scaling_layout_outputs_units_and_signs_are_fou
     # Heading in 30 degrees, positive to the right; something else; cross-track error in 10 m.
     wanted = np.column_stack([-np.degrees(truth[:, 1]) / 30, junk, truth[:, 0] / 10])
     path = network(tmp_path, prepare(small), wanted, shape)
-    best, *others = find_ways(path, scenes[:150])
+    shapes = read_shapes(path)
+    best, *others = find_ways(path, shapes, scenes[:150])
     assert best.explained > 0.6
     assert all(way.explained < best.explained + 0.01 for way in others)
-    path.with_suffix('.yaml').write_text(description(best, output_count(path), 'found'))
+    path.with_suffix('.yaml').write_text(description(best, shapes.outputs, 'found'))
     found = yaml.safe_load(path.with_suffix('.yaml').read_text())
     assert found['scaling'] == scaling
     assert found['input']['layout'] == ('nchw' if shape[1] == 1 else 'nhwc')
@@ -102,7 +103,7 @@ def test_given_a_network_that_answers_something_else_then_nothing_explains_it(
     scenes, small, truth = pictures
     junk = np.random.default_rng(0).normal(size=truth.shape)
     path = network(tmp_path, small / 255, junk, (1, 1, HEIGHT, WIDTH))
-    assert find_ways(path, scenes[:100])[0].explained < 0.4
+    assert find_ways(path, read_shapes(path), scenes[:100])[0].explained < 0.4
 
 
 @pytest.mark.parametrize(('shape', 'words'), [
@@ -115,8 +116,8 @@ def test_given_an_input_that_is_no_picture_then_it_is_refused_in_one_line(
     scenes, small, truth = pictures
     path = network(tmp_path, small[:50] / 255, truth[:50], shape)
     with pytest.raises(UsageError) as refused:
-        find_ways(path, scenes[:2])
+        find_ways(path, read_shapes(path), scenes[:2])
     assert words in str(refused.value)
     (tmp_path / 'net.onnx').write_bytes(b'no model')
     with pytest.raises(UsageError, match=r'net\.onnx: is no ONNX model'):
-        find_ways(path, scenes[:2])
+        find_ways(path, read_shapes(path), scenes[:2])

@@ -63,7 +63,8 @@ QUANTITIES = ('cte', 'heading_error', 'ignore')
 MAX_SIDE = 4096
 """Maximum side length of a resized frame [pixels]."""
 MAX_SIDECAR_BYTES = 16 << 10
-_UNITS = {'cte': {'m': 1.0}, 'heading_error': {'deg': math.radians(1.0), 'rad': 1.0}}
+UNITS = {'cte': {'m': 1.0}, 'heading_error': {'deg': math.radians(1.0), 'rad': 1.0}}
+"""Units of what the steering needs, in SI units, by quantity."""
 _SIGNS = {'left': 1.0, 'right': -1.0}
 _LEAST, _MOST = 1e-6, 1e6
 
@@ -243,7 +244,7 @@ def _outputs(top: Section) -> tuple[Output, ...]:
     entries = top.sections('outputs', ('quantity', 'unit', 'positive', 'scale', 'offset'))
     outputs = tuple(map(_output, entries))
     quantities = [output.quantity for output in outputs]
-    for quantity in _UNITS:
+    for quantity in UNITS:
         if quantities.count(quantity) != 1:
             raise top.wrong(f'has {quantities.count(quantity)} entries with quantity {quantity}; '
                             'the steering needs one, write ignore for others', 'outputs')
@@ -257,7 +258,7 @@ def _output(entry: Section) -> Output:
             if key in entry:
                 raise entry.wrong('has no meaning for an ignored output; leave it out', key)
         return Output(quantity=quantity)
-    unit = _UNITS[quantity][entry.word('unit', tuple(_UNITS[quantity]))]
+    unit = UNITS[quantity][entry.word('unit', tuple(UNITS[quantity]))]
     sign = _SIGNS[entry.word('positive', tuple(_SIGNS))]
     scale = entry.number('scale', -_MOST, _MOST)
     if abs(scale) < _LEAST:
