@@ -157,11 +157,12 @@ class _Trainer:
         self._order = np.random.default_rng(recipe.seed)
         # Separate, so that the order of the pictures does not depend on augmentation.
         self._chance = np.random.default_rng([recipe.seed, 1])
-        rate = recipe.learning_rate
+        rate, steps = recipe.learning_rate, recipe.epochs * self._steps
         self._optimiser = torch.optim.AdamW(self._network.parameters(), lr=rate, weight_decay=0.01)
         self._schedule = torch.optim.lr_scheduler.OneCycleLR(
-            self._optimiser, max_lr=rate, total_steps=recipe.epochs * self._steps,
-            pct_start=_WARM_UP,
+            self._optimiser, max_lr=rate, total_steps=steps,
+            # torch divides by the steps of the rise less one, which of ten is zero.
+            pct_start=_WARM_UP if steps != 10 else 2 * _WARM_UP,
         )
 
     def epoch(self, number: int) -> Epoch:

@@ -96,6 +96,13 @@ def test_given_an_epoch_that_was_better_when_fitted_then_its_weights_are_kept() 
     assert stopped.history == result.history[: stopped.best_epoch + 1]
 
 
+@pytest.mark.parametrize('images', [16, 48, 80, 96])
+def test_given_few_steps_in_all_when_fitted_then_every_epoch_is_done(images: int) -> None:
+    recipe = dataclasses.replace(RECIPE, epochs=2)
+    result = fit(ARCHITECTURE, bright_columns(images, 1), VALIDATION, recipe)
+    assert [epoch.number for epoch in result.history] == [1, 2]
+
+
 def test_given_a_rate_far_too_high_when_fitted_then_one_line_says_so() -> None:
     with pytest.raises(UsageError, match='lower --learning-rate') as caught:
         fitted(learning_rate=1e30)
