@@ -36,8 +36,8 @@ FORK = 'fork'
 """Word of the world of a forked run (:mod:`taxinet_ros.core.fork`)."""
 
 _NETWORKS = (
-    'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
-    'iterative-crossing', 'iterative-verifai', 'iterative-learned',
+    'taxinet', 'anywhere', 'broad', 'original', 'generic', 'halton', 'specialised',
+    'iterative-generic', 'iterative-crossing', 'iterative-verifai', 'iterative-learned',
 )
 _SAMPLERS = (
     'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'mab', 'bo',

@@ -28,7 +28,7 @@ WHOLE = 'all'
 
 SLICES: dict[str, Callable[[Scenario], bool]] = {
     WHOLE: lambda scene: True,
-    'like the training': lambda s: _as_trained(s),
+    'late morning, fine': lambda s: _fine(s) and _late_morning(s),
     'early morning': lambda s: _fine(s) and s.time_of_day_s < 8.5 * 3600,
     'afternoon, clear': lambda s: s.clouds == 'clear' and s.time_of_day_s > 12 * 3600,
     'broken or stratus, dry': lambda s: s.clouds in ('broken', 'stratus') and s.rain_fraction == 0,
@@ -54,6 +54,8 @@ class SliceErrors:
             fewer than two errors.
         mirrored: mean absolute errors that the estimates would have with the other sign, of the
             quantities that seem to have the wrong one (:func:`mirrored_errors`).
+        guessed: mean absolute errors of always answering the median of the labels, of the
+            quantities of which the estimates are no better.
     """
 
     name: str
@@ -62,6 +64,7 @@ class SliceErrors:
     errors: dict[str, dict[str, float]]
     half_widths: dict[str, float | None]
     mirrored: dict[str, float] = field(default_factory=dict)
+    guessed: dict[str, float] = field(default_factory=dict)
 
 
 class _Measured(NamedTuple):
@@ -85,10 +88,6 @@ def _late_morning(s: Scenario) -> bool:
 
 def _at_crossing(s: Scenario) -> bool:
     return 1300 < s.distance_m < 1600
-
-
-def _as_trained(s: Scenario) -> bool:
-    return _fine(s) and _late_morning(s)
 
 
 def image_perception(word_or_file: str) -> Perception:
@@ -142,7 +141,7 @@ def evaluate_program(
     with closing(taken) as frames:
         measured = _measure(perception, frames, images, progress)
     rows = by_slice(measured.errors, scenes)
-    return [replace(rows[0], mirrored=mirrored_errors(*measured)), *rows[1:]]
+    return [_with_doubts(rows[0], measured), *rows[1:]]
 
 
 def evaluate_folder(
@@ -155,7 +154,21 @@ def evaluate_folder(
     """
     opened = open_folder(folder)
     measured = _measure(perception, _frames(opened), len(opened), progress)
-    return [replace(_slice(WHOLE, measured.errors), mirrored=mirrored_errors(*measured))]
+    return [_with_doubts(_slice(WHOLE, measured.errors), measured)]
+
+
+def _with_doubts(whole: SliceErrors, measured: _Measured) -> SliceErrors:
+    """The errors of all images, with what seems to be wrong with the estimates."""
+    mirrored, guessed = mirrored_errors(*measured), {}
+    truth = measured.truth[~np.isnan(measured.estimates).any(axis=1)]
+    if len(truth) >= _LEAST_IMAGES:
+        means = in_card_units(np.abs(truth - np.median(truth, axis=0))).mean(axis=0)
+        guessed = {
+            quantity: round(float(mean), 4)
+            for quantity, mean in zip(ERROR_QUANTITIES, means, strict=True)
+            if quantity not in mirrored and whole.errors[quantity]['mae'] >= mean
+        }
+    return replace(whole, mirrored=mirrored, guessed=guessed)
 
 
 _LEAST_IMAGES = 8

@@ -38,6 +38,10 @@ _SNAP = 0.08
 _USUAL = (1.0, 2.0, 5.0, 8.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 90.0, 100.0, 180.0)
 _NEGLIGIBLE = 0.1
 """An offset below this share of the truth's deviation is left out."""
+_DOMAIN_HINT = """\
+# What it was trained in, so that runs elsewhere say so; correct this, and uncomment it:
+# domain: {place: [kmwh_04], time_of_day_h: [8.5, 12], rain_percent: [0, 0]}
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -149,7 +153,8 @@ def description(way: Way, outputs: int, about: str) -> str:
     """
     entries = _unknown(outputs, way.fits)
     content = {**way.prepared, 'outputs': entries}
-    return f'# {about}\n{yaml.safe_dump(content, sort_keys=False, default_flow_style=None)}'
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+    return f'# {about}\n{text}{_DOMAIN_HINT}'
 
 
 def read_shapes(path: Path) -> Shapes:

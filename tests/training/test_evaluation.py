@@ -56,7 +56,7 @@ def test_given_scenes_of_several_slices_when_measured_then_each_has_its_own_erro
     table = {row.name: row for row in by_slice(errors, scenes)}
     assert list(table) == list(SLICES)
     assert {name: (row.images, row.without_estimate) for name, row in table.items()} == {
-        'all': (4, 1), 'like the training': (1, 0), 'early morning': (1, 1),
+        'all': (4, 1), 'late morning, fine': (1, 0), 'early morning': (1, 1),
         'afternoon, clear': (0, 0), 'broken or stratus, dry': (0, 0), 'rain': (1, 0),
         'crossing': (1, 0),
     }  # fmt: skip
@@ -92,6 +92,16 @@ def test_given_estimates_with_the_wrong_sign_then_their_errors_turned_round_are_
     assert mirrored_errors(np.ones_like(truth), truth) == {}
     lost = np.where(np.arange(200)[:, None] < 190, math.nan, -good)
     assert set(mirrored_errors(lost, truth)) == {'cte_m', 'he_deg'}
+
+
+def test_given_estimates_that_are_worse_than_guessing_then_that_is_told(tmp_path: Path) -> None:
+    folder = foreign_folder(tmp_path / 'f', images=15)  # 0 to 14 m to the left, some seen at 0.5 m
+    (row,) = evaluate_folder(Constant(), folder)
+    assert row.mirrored == {}
+    assert row.guessed['cte_m'] < row.errors['cte_m']['mae']
+    assert set(row.guessed) == {'cte_m', 'he_deg'}
+    good = evaluate_program(make_perception('taxinet'), 's_falsif', images=8, seed=9, workers=1)
+    assert good[0].guessed == {}
 
 
 def test_given_a_program_when_measured_then_full_frames_give_the_errors_of_shrunk_ones() -> None:

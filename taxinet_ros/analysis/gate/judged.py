@@ -177,8 +177,8 @@ def driven_runs(
         rows = tuple(trials.rows(network))
     rough = sum(not scene.exact for scene in scenes.scenes)
     notes = (
-        f'{rough:,} of {len(scenes.scenes):,} scenes are known to nine decimals only, as the '
-        'baseline has no bags; runs at the edge may come out otherwise for that alone',
+        f'{rough:,} of {len(scenes.scenes):,} scenes are from the table alone, rounded to nine '
+        'decimals, as the baseline has no bags: enough but for a run at the very edge',
     ) if rough else ()
     judged = JudgedRuns(
         folder=out, rows=rows, notes=notes, again=True,

@@ -100,6 +100,13 @@ def _print_errors(rows: Sequence[SliceErrors], title: str) -> None:
             f'be {turned:.3g} {unit} instead of {error:.3g}: left is positive; see "positive" in '
             'the description of a network in ONNX, or the signs of its labels.', style='bold',
         )
+    for quantity, guess in rows[0].guessed.items():
+        (name, unit), error = _QUANTITIES[quantity], rows[0].errors[quantity]['mae']
+        console.print(
+            f'{name}: always answering the median would err by {guess:.3g} {unit}, less than '
+            f'{error:.3g}: look at the order of the outputs, their units and the preparation of '
+            'the pictures.', style='bold',
+        )
 
 
 def _error_cells(row: SliceErrors, quantity: str) -> tuple[str, str]:

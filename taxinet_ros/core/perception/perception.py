@@ -41,6 +41,9 @@ from taxinet_ros.core.user_code import (
 from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.registry import PERCEPTIONS, Extension, find, known, names
 
+_AT_KMWH, _ANYWHERE = 'taxinet', 'anywhere'
+"""The shipped networks for the usual runway, and for runways and cameras never seen."""
+
 
 class Perception(Protocol):
     """Estimates the tracking error once per control step, from its arguments only.
@@ -298,12 +301,20 @@ def find_domain(word_or_file: str) -> Domain | None:
 def network_doubts(word_or_file: str, scenes: Iterable[Scenario]) -> list[str]:
     """A warning if scenes are outside what a network was trained in.
 
+    It names the shipped network for runways never seen where that one is what is missing.
+
     Raises:
         UsageError: its card or description cannot be read.
     """
     domain = find_domain(word_or_file)
     told = [] if domain is None else [scene.to_human() for scene in dict.fromkeys(scenes)]
-    return domain_doubts(word_or_file, domain, told)
+    doubts = domain_doubts(word_or_file, domain, told)
+    if doubts and all(
+        bool(domain_doubts(name, find_domain(name), told)) is elsewhere
+        for name, elsewhere in ((_AT_KMWH, True), (_ANYWHERE, False))
+    ):
+        doubts[0] += f'; {_ANYWHERE} was trained for such'
+    return doubts
 
 
 def _loaded(extension: Extension) -> Path | PluginCode | Perception:

@@ -143,7 +143,7 @@ def test_given_a_file_that_cannot_be_read_when_checked_then_one_line(
 def test_given_no_description_when_checked_then_the_manual_is_named(tmp_path: Path) -> None:
     path = save(tmp_path)
     path.with_suffix('.yaml').unlink()
-    assert 'needs its description beside it, see docs/onnx.md' in complaint(path)
+    assert 'description beside it, which network describe writes, see docs/onnx' in complaint(path)
 
 
 @pytest.mark.parametrize('location', ['weights.bin', '../weights.bin', '/{}/weights.bin'])

@@ -377,7 +377,8 @@ def _read(path: Path, most: int) -> bytes:
     try:
         if not path.exists():
             beside = '' if path.suffix == ONNX_SUFFIX else (
-                '; an ONNX network needs its description beside it, see docs/onnx.md')
+                '; an ONNX network needs its description beside it, which network describe '
+                'writes, see docs/onnx.md')
             raise file_error(path, f'no such file{beside}')
         if path.is_dir():
             raise file_error(path, 'is not a file; name the file itself')
