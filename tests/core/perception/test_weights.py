@@ -199,11 +199,26 @@ def test_given_the_shipped_weights_when_loaded_then_they_are_small_and_their_car
     assert model.card.errors['he_deg']['mae'] <= 1.5
 
 
+def test_given_the_weights_for_any_place_when_loaded_then_the_card_says_where_they_were_trained(
+) -> None:
+    card = load_model(SHIPPED['anywhere']).card
+    assert SHIPPED['anywhere'].stat().st_size < 2_000_000
+    assert [(data.kind, data.name) for data in (*card.training_data, *card.validation_data)] == [
+        ('places', 'random:0-599'), ('program', 'training_full'), ('places', 'random:validation'),
+    ]
+    assert card.view == 'ahead'
+    assert card.domain is not None
+    assert not {'place', 'camera'} & set(card.domain)  # any
+    assert card.domain['runway_width_m'] == (18, 60)
+    assert card.errors['cte_m']['mae'] <= 0.8
+    assert card.errors['he_deg']['mae'] <= 0.8
+
+
 def test_given_the_chain_of_trainings_when_read_then_each_link_is_shipped() -> None:
     cards = {word: load_model(path).card for word, path in SHIPPED.items()}
     assert cards['taxinet'].start_sha256 == cards['broad'].weights_sha256
     assert ' --start broad ' in cards['taxinet'].command_line
     for kind in ('generic', 'crossing', 'verifai', 'learned'):
         assert cards[f'iterative-{kind}'].start_sha256 == cards['generic'].weights_sha256
-    for word in ('broad', 'original', 'generic', 'halton', 'specialised'):
+    for word in ('anywhere', 'broad', 'original', 'generic', 'halton', 'specialised'):
         assert cards[word].start_sha256 is None
