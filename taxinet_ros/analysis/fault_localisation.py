@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,11 +23,11 @@ from taxinet_ros.analysis.report.parts import (
     Column,
     Picture,
     Report,
-    Section,
     Table,
     Theme,
     style_axes,
 )
+from taxinet_ros.analysis.report.text import fill_report, sentences
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
@@ -229,17 +229,17 @@ def _suffices(heading: bool | None, cte: bool | None) -> Suffices:
     return names[heading, cte]
 
 
+_TEXT = Path(__file__).with_suffix('.j2')
 CSV_NAME, PARQUET_NAME, JSON_NAME = 'localize.csv', 'localize.parquet', 'localize.json'
 _FAULT = {
     Blame.PERCEPTION: "the network's fault", Blame.CONTROLLER: 'not the fault of the network',
     Blame.NOT_REPRODUCED: 'which was not reproduced', Blame.UNKNOWN: 'of unknown fault',
 }
-_UNBIASED = ('', 'random', 'halton', 'sobol')
 _MEANINGS = {
     AS_RECORDED: 'as recorded (control)',
-    TRUTH: 'both estimates perfect',
-    TRUTH_HEADING: 'heading error perfect',
-    TRUTH_CTE: 'cross-track error perfect',
+    TRUTH: 'perfect estimates',
+    TRUTH_HEADING: 'a perfect heading error alone',
+    TRUTH_CTE: 'a perfect cross-track error alone',
 }
 
 
@@ -273,15 +273,9 @@ def localisation_report(
         worst: counterexamples to show step by step, the first of them on the first screen.
         folder: folder of their campaign.
     """
-    sentences = tuple(localisation_sentences(found))
-    return Report(
-        title=f'Fault localisation: {len(found.cases)} counterexamples of {found.perception}',
-        facts={
-            'perception': found.perception, 'formula': found.spec,
-            'failed runs': f'{found.failed} of {found.runs} judged',
-            'examined': str(len(found.cases)),
-        },
-        summary=sentences, sections=(localisation_section(found),),
+    return fill_report(
+        _TEXT, {'f': found, 'meaning': _meaning},
+        {'fault-localisation': (_picture(found), _table(found))},
         runs={case.row.run_id: folder / case.row.bag for case in worst},
         worst=worst[0].row.run_id if worst else '',
         worst_words=f'The worst run, {_FAULT[worst[0].blame]}' if worst else '',
@@ -289,23 +283,9 @@ def localisation_report(
     )
 
 
-def localisation_section(found: Localisation) -> Section:
-    """The evidence: a figure and a table of passes by substitution."""
-    return Section(
-        name='fault-localisation', heading='Whose fault',
-        sentences=(
-            "Counterexamples were rerun in the same scenes, with the network's estimate replaced.",
-        ),
-        pictures=(_picture(found),), tables=(_table(found),),
-    )
-
-
-def localisation_sentences(found: Localisation) -> Iterator[str]:
+def localisation_sentences(found: Localisation) -> tuple[str, ...]:
     """The findings, the most important first."""
-    yield from _blame_words(found)
-    yield from _alone_words(found)
-    yield from _other_words(found)
-    yield from _reservations(found)
+    return sentences(_TEXT, 'findings', f=found, meaning=_meaning)
 
 
 def localisation_json(found: Localisation) -> dict[str, Any]:
@@ -321,7 +301,7 @@ def localisation_json(found: Localisation) -> dict[str, Any]:
             kind.value or 'unknown': found.sufficing.get(kind, 0) for kind in Suffices
         },
         'substitutions': [_share_json(found, word) for word in found.words],
-        'sentences': list(localisation_sentences(found)),
+        'sentences': localisation_sentences(found),
     })
 
 
@@ -339,111 +319,6 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
     write_parquet(parquet, frame)
     return csv, parquet
 
-# Sentences ---------------------------------------------------------------------------------------
-
-
-def _blame_words(found: Localisation) -> Iterator[str]:
-    if not found.counted:
-        yield 'No counterexample was reproduced, so no conclusion is possible.'
-        return
-    if TRUTH not in found.words:
-        return
-    passed, judged, share = found.passing(TRUTH)
-    satisfy = _satisfy(found)
-    if not judged:
-        yield 'No run with perfect perception could be judged, so no conclusion is possible.'
-    elif passed == judged:
-        yield (
-            f'{_all(judged)} {satisfy(judged)} with perfect perception '
-            f'(95 % interval {_range(share)}): the network is to blame, not the steering law.'
-        )
-    elif passed == 0:
-        yield (
-            f'{_none(judged)} {satisfy(1)} with perfect perception (95 % interval '
-            f'{_range(share)}): steering law, dynamics or the formula are to blame, and a better '
-            'network would not help.'
-        )
-    else:
-        yield (
-            f'{passed} of {judged} counterexamples ({_share(share)}) {satisfy(passed)} with '
-            f'perfect perception: there the network is to blame. The other {judged - passed} fail '
-            'with it too: steering law, dynamics or the formula are to blame.'
-        )
-
-
-def _alone_words(found: Localisation) -> Iterator[str]:
-    parts = []
-    for word, name in ((TRUTH_HEADING, 'heading error'), (TRUTH_CTE, 'cross-track error')):
-        if word in found.words and found.passing(word)[1]:
-            parts.append(f'{_share(found.passing(word)[2])} with a perfect {name} alone')
-    if parts:
-        yield f'Of the counterexamples {" and ".join(parts)} pass.'
-    kinds = found.sufficing
-    known = sum(kinds.values()) - kinds.get(Suffices.UNKNOWN, 0)
-    if len(parts) == 2 and known:
-        yield (
-            f"Of {known} that are the network's fault, "
-            + ', '.join(f'{kinds[kind]} pass {words}' for kind, words in {
-                Suffices.NEITHER: 'only if both estimates are perfect',
-                Suffices.HEADING: 'already with a perfect heading error alone',
-                Suffices.CTE: 'already with a perfect cross-track error alone',
-                Suffices.EITHER: 'if either of the two is perfect',
-            }.items() if kinds.get(kind)) + '.'
-        )
-
-
-def _other_words(found: Localisation) -> Iterator[str]:
-    for word in found.words:
-        passed, judged, share = found.passing(word)
-        if word not in _MEANINGS and judged:
-            yield f'With {_meaning(word)} {passed} of {judged} pass: {_share(share)}.'
-
-
-def _reservations(found: Localisation) -> Iterator[str]:
-    count, failed = len(found.cases), found.failed
-    if count < failed:
-        yield f'{count} of the {failed} failed runs were examined, evenly spread over them.'
-    others = found.not_reproduced
-    if others:
-        names = ', '.join(case.row.run_id for case in others[:3])
-        more = ', …' if len(others) > 3 else ''
-        yield (
-            f'{len(others)} of {count} were not reproduced ({names}{more}) and '
-            f'{"is" if len(others) == 1 else "are"} not counted: probably recorded by another '
-            'version or machine.'
-        )
-    if broken := found.unjudged:
-        named = '; '.join(f'{one.run_id} {one.word} ({one.detail})' for one in broken[:3])
-        more = '; …' if len(broken) > 3 else ''
-        yield (
-            f'{len(broken)} trials could not be judged and count as unknown: {named}{more}. The '
-            'same command makes them again.'
-        )
-    if found.rounded:
-        yield (
-            f'{found.rounded} have no bag: the record has their scenes to nine decimals only, so '
-            'they were only required to fail again.'
-        )
-    if found.chosen_by not in _UNBIASED:
-        yield (
-            f'The scenes were chosen by {found.chosen_by}: the shares refer to the counterexamples '
-            'it finds, not to those of the program.'
-        )
-
-
-def _satisfy(found: Localisation) -> Any:
-    what = found.spec if found.specs == 1 else f'all {found.specs} formulas'
-    return lambda number: f'{"satisfies" if number == 1 else "satisfy"} {what}'
-
-
-def _all(judged: int) -> str:
-    return 'The one counterexample' if judged == 1 else f'All {judged:,} counterexamples'
-
-
-def _none(judged: int) -> str:
-    one = 'Not even the one counterexample'
-    return one if judged == 1 else f'None of {judged:,} counterexamples'
-
 
 def _meaning(word: str) -> str:
     kind, _, amount = word.partition(':')
@@ -454,23 +329,16 @@ def _meaning(word: str) -> str:
     }[kind]
 
 
-def _range(share: Rate) -> str:
-    return f'{100 * share.low:.1f}–{100 * share.high:.1f} %'
-
-
-def _share(share: Rate) -> str:
-    return f'{100 * share.rate:.0f} % ({100 * share.low:.0f}–{100 * share.high:.0f} %)'
-
 # Table and picture -------------------------------------------------------------------------------
 
 
 def _table(found: Localisation) -> Table:
     return Table(
-        name='fault_localisation', title='Passing counterexamples by replacement of the estimate',
+        name='fault_localisation', title='Runs that pass with other estimates',
         caption='Shares with exact 95 % intervals (Clopper and Pearson); the control has to fail.',
         columns=(
             Column(name='substitution', title='substitution'),
-            Column(name='meaning', title='meaning'),
+            Column(name='meaning', title='with'),
             Column(name='passed', title='pass'),
             Column(name='judged', title='of'),
             Column(name='share_percent', title='share [%]', decimals=1),
@@ -487,9 +355,9 @@ def _table(found: Localisation) -> Table:
 def _picture(found: Localisation) -> Picture:
     words = [word for word in found.words if word != AS_RECORDED]
     return Picture(
-        name='fault_localisation', title='What makes the counterexamples pass',
-        caption=f'Share of {len(found.counted)} counterexamples that pass once the estimate is '
-                'replaced, with 95 % intervals.',
+        name='fault_localisation', title='What makes the failed runs pass',
+        caption=f'Share of {len(found.counted)} failed runs that pass with other estimates, with '
+                '95 % intervals.',
         draw=partial(_draw, found, words), size_in=(7.0, 0.9 + 0.5 * len(words)),
     )
 
@@ -512,7 +380,7 @@ def _draw(found: Localisation, words: list[str], figure: Figure, theme: Theme) -
         )
     axes.set_yticks(places, [_meaning(word) for word in words])
     axes.invert_yaxis()
-    axes.set(xlim=(0, 112), xlabel='counterexamples that pass [%]')
+    axes.set(xlim=(0, 112), xlabel='failed runs that pass [%]')
     axes.set_xticks(range(0, 101, 20))
     style_axes(axes, grid='x')
 

@@ -92,15 +92,15 @@ def said(*given, **kinds) -> str:
 
 @pytest.mark.parametrize(('answers', 'parts'), [
     ([(True, True, False)] * 3 + [(True, False, False)], (
-        'All 4 counterexamples satisfy phi_eventually with perfect perception',
+        'All 4 failed runs satisfy phi_eventually when driven again with perfect estimates',
         # Clopper and Pearson, 4 of 4: the lower end is 0.025 ** (1 / 4).
-        f'{100 * 0.025**0.25:.1f}–100.0 %): the network is to blame',
-        '75 % (19–99 %) with a perfect heading error alone',
-        '1 pass only if both estimates are perfect, 3 pass already with a perfect heading')),
+        f'{100 * 0.025**0.25:.0f}–100 %): the network is at fault, not the controller',
+        'With a perfect heading error alone 3 of 4 pass: 75 % (19–99 %).',
+        '3 pass with a perfect heading error alone, 1 passes only if both estimates are perfect')),
     ([(True, True, True), (False, False, False), (False, False, False)], (
-        '1 of 3 counterexamples', 'The other 2 fail with it too')),
+        'With perfect estimates 1 of 3 failed runs satisfy', 'The others fail too')),
     ([(False, False, False)] * 2, (
-        'None of 2 counterexamples satisfies phi_eventually', 'a better network would not help')),
+        'All 2 failed runs fail with perfect estimates too', 'a better network would not help')),
 ])
 def test_given_answers_then_network_law_or_both_are_to_blame(answers, parts):
     words = said(answers)
@@ -111,8 +111,8 @@ def test_given_answers_then_network_law_or_both_are_to_blame(answers, parts):
 
 def test_given_another_perception_then_its_share_is_told_beside_what_the_truth_shows():
     words = said([(True, True, True, True), (True, True, True, False)], words=(*WORDS, DELAYED))
-    assert "With the network's estimate of 0.5 s ago 1 of 2 pass: 50 % (1–99 %)." in words
-    assert words.count('With ') == 1
+    assert "With the network's estimate of 0.5 s ago 1 of 2 passes: 50 % (1–99 %)." in words
+    assert words.count('With ') == 3
 
 
 def test_given_runs_that_are_not_as_recorded_then_they_are_named_and_in_no_share():
@@ -120,15 +120,15 @@ def test_given_runs_that_are_not_as_recorded_then_they_are_named_and_in_no_share
     assert [case.row.index for case in mixed.not_reproduced] == [0, 1, 2]
     assert mixed.passing('truth')[:2] == (0, 0)
     words = ' '.join(localisation_sentences(mixed))
-    assert 'no conclusion is possible' in words
-    assert '3 of 3 were not reproduced (run-0, run-1, run-2)' in words
+    assert 'so nothing can be concluded' in words
+    assert '3 of 3 did not come out as recorded (run-0, run-1, run-2)' in words
 
 
 def test_given_a_biased_choice_a_sample_or_scenes_of_the_record_then_the_reader_is_told():
     words = said([(True, True, True)] * 2, chosen_by='ce', failed=50, exact=False)
     assert '2 of the 50 failed runs were examined' in words
     assert 'chosen by ce' in words
-    assert '2 have no bag' in words
+    assert '2 runs had no bag' in words
 
 
 def test_given_a_localisation_then_json_table_and_picture_hold_it(tmp_path):

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import falsify_samples as toy
 import pytest
 
-from taxinet_ros.analysis.search.rare import estimate_lines, estimate_of, write_estimate
+from taxinet_ros.analysis.search.rare import estimate_of, estimate_text, write_estimate
 from taxinet_ros.cli.run.estimate import run_estimate
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -148,7 +148,7 @@ def test_after_an_unclear_estimate_a_new_one_is_called_another_look(
     assert run_estimate(options(tmp_path / 'c'), quiet=True, as_json=False) == 3
     said = capsys.readouterr().out.splitlines()[-1]
     new = (
-        'a new estimate with more --runs narrows both ends, but is another look: tell both, as '
+        'a new estimate with more --runs narrows both ends, but is another look: report both, as '
         'each misses in up to 5 %'
     )
     assert said == f'next: {new}' if plain else said == (
@@ -201,7 +201,7 @@ def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rest
     search = SimpleNamespace(
         rows=[], summary=Summary(), options=SimpleNamespace(judging=judging)
     )
-    assert estimate_lines(found, search) == [
+    assert estimate_text(found, search).splitlines() == [
         'P(near violated) within [2.5e-05, 0.22 %] (95 %); UNCLEAR: more than 10 times as high as '
         'low',
         'at least 2.5e-05: of 8 islands 5 found failures; their mean is 0.01 %',
@@ -212,7 +212,7 @@ def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rest
         found, state=State.ESTIMATED, low=0.011, high=0.049, probability=0.025,
         plain='4 of the first 200 failed', islands=0, failing=0, drawn=400, drawn_failed=10,
     )
-    assert estimate_lines(plainly, search) == [
+    assert estimate_text(plainly, search).splitlines() == [
         'P(near violated) within [1.1 %, 4.9 %] (95 %)',
         'of 400 draws of the program itself 10 failed, 2.5 %: drawn plainly, as 4 of the first 200 '
         'failed, and splitting would give no narrower interval',

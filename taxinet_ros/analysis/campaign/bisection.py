@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.files.plain_values import plain
 
@@ -119,40 +121,9 @@ def _scene(name: str, results: Mapping[int, bool | None]) -> BisectedScene:
     )
 
 
-def bisection_lines(found: Bisection) -> list[str]:
+def bisection_text(found: Bisection) -> str:
     """The findings as text."""
-    last = len(found.networks) - 1
-    ends = [(scene.results.get(0), scene.results.get(last)) for scene in found.scenes]
-    first, final = found.networks[0], found.networks[-1]
-    lines = [
-        f'{len(found.scenes)} scenes: {ends.count((True, False))} satisfied by {first} and '
-        f'violated by {final}, {ends.count((False, True))} the other way round, '
-        f'{ends.count((True, True))} satisfied and {ends.count((False, False))} violated by both '
-        f'({found.runs} runs)'
-    ]
-    for place in range(1, last + 1):
-        before, network = found.networks[place - 1], found.networks[place]
-        for word, names in (
-            ('breaks', found.broken_by(place)), ('fixes', found.fixed_by(place))
-        ):
-            if names:
-                many = 'scene' if len(names) == 1 else 'scenes'
-                was = 'satisfied' if word == 'breaks' else 'violated'
-                lines.append(
-                    f'{network} {word} {len(names)} {many} that {before} {was}: {_listed(names)}')
-    several = [scene.name for scene in found.scenes if len(scene.broken) > 1]
-    if several:
-        lines.append(f'broken more than once: {_listed(several)}')
-    unclear = [scene.name for scene in found.scenes if scene.unclear]
-    if unclear:
-        lines.append(f'not judged with some network, so unclear: {_listed(unclear)}')
-    if not found.every and last > 1:
-        lines.append('of a scene that breaks more than once one place is found; --every finds all')
-    return lines
-
-
-def _listed(names: Sequence[str], most: int = 10) -> str:
-    return ', '.join(names[:most]) + (f', and {len(names) - most} more' * (len(names) > most))
+    return macro_text(Path(__file__).with_suffix('.j2'), 'found', f=found)
 
 
 def bisection_json(found: Bisection) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def _baseline(one: BaselineComparison) -> dict[str, Any]:
 
 def _cause(cause: Cause) -> dict[str, Any]:
     return {
-        'rank': cause.rank, 'words': cause.region.words(), 'sentence': cause.sentence(),
+        'rank': cause.rank, 'words': cause.region.words(),
         'region': cause.region.parts, 'inside': cause.inside,
         'outside': cause.outside, 'all_runs': cause.whole,
         'share': cause.share, 'explained': cause.added,

@@ -85,13 +85,11 @@ def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
         ))
     return Table(
         name='causes', title='Causes', rows=tuple(rows), run_id_column='worst_run',
-        caption='Each among the runs that remain after the causes above it; "all" is the rate of '
-        'all runs in it. Regions are selected for their rates, so these are biased upwards; the '
-        'intervals allow for that. "Contains" is the share of all failures in it, "associated" '
-        'the share by which there would be fewer if it failed like all other runs. That is no '
-        'proof that it makes them fail: what the program draws together with it counts too, and '
-        'the shares of causes that overlap do not add up. "Adds" is what no cause above it '
-        'contains.',
+        caption='Fail: of the runs here and in no cause above; all: of all runs here. As regions '
+        'are chosen for such rates, these are too high, which the intervals allow for. Contains: '
+        'share of all failures; adds: of those in no cause above. Associated: how many fewer '
+        'failures there would be if runs here failed like all others. That is no proof: what the '
+        'program draws together counts for both, and such shares do not add up.',
         columns=(
             Column(name='rank', title='#'), Column(name='cause', title='cause'), *_RATE,
             Column(name='elsewhere_percent', title='elsewhere [%]', decimals=1),
@@ -112,11 +110,13 @@ def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
 def ranking_table(findings: Findings) -> Table:
     """Features by their information about failing."""
     return Table(
-        name='feature_ranking', title='Features', caption='One at a time; p after Holm.',
+        name='feature_ranking', title='Features',
+        caption='How much each alone tells of whether a run fails (mutual information); p after '
+        'Holm.',
         columns=(
             Column(name='feature', title='feature'),
-            Column(name='information_bit', title='tells [bit]', decimals=4),
-            Column(name='explained_percent', title='of the entropy of failing [%]', decimals=1),
+            Column(name='information_bit', title='information [bit]', decimals=4),
+            Column(name='explained_percent', title='of all there is to know [%]', decimals=1),
             Column(name='p', title='p', decimals=3),
         ),
         rows=tuple((one.feature.title, one.information_bit, 100 * one.explained, one.p)

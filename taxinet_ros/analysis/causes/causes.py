@@ -247,24 +247,6 @@ class Cause:
     p: float
     p_is_bound: bool
 
-    def sentence(self) -> str:
-        """Display text of the cause."""
-        words = self.region.words()
-        remaining = '' if self.rank == 1 else 'remaining '
-        share, low, high = (100 * part for part in self.associated)
-        known = '' if math.isnan(low) else f' ({low:.0f}–{high:.0f} %)'.replace('-', '−')
-        associated = f'{share:.0f} %{known}'.replace('-', '−')
-        return (
-            f'{words[0].upper()}{words[1:]}: {self.inside.words()} of {self.inside.runs:,} '
-            f'{remaining}runs fail, elsewhere {self.outside.words()} of {self.outside.runs:,}. '
-            f'{_percent(self.share)} of all failures are in it; if it failed like all other '
-            f'scenes, there would be {associated} fewer ({self.p_words()})'
-        )
-
-    def p_words(self) -> str:
-        """Display text of the p value."""
-        return 'p < 0.001' if self.p < 0.001 else f'p = {self.p:.3f}'
-
 
 class Causes(NamedTuple):
     """Result of a search for causes.
@@ -463,8 +445,3 @@ def _why_not(failed: Mask) -> str:
             'too few other runs to distinguish causes')
         return f'{counts}: {few}'
     return ''
-
-
-def _percent(share: float) -> str:
-    digits = 1 if share < 0.0995 or share > 0.9905 else 0
-    return f'{100 * share:.{digits}f} %'

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +12,18 @@ from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import json_text
-from taxinet_ros.samplers.splitting import WIDE, RareEstimate, Splitting, State
+from taxinet_ros.samplers.splitting import WIDE, RareEstimate, Splitting
 from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.rates import CONFIDENCE
 from taxinet_ros.trials.search import Search
 
 JSON_NAME = 'estimate.json'
+_TEXT = Path(__file__).with_suffix('.j2')
 
 
 def unfinished_words(search: Engine[Search]) -> str:
@@ -97,32 +98,17 @@ def write_estimate(found: RareEstimate, search: Engine[Search]) -> list[Path]:
     return [out / JSON_NAME, write_png(picture, out, LIGHT)]
 
 
-def next_lines(found: RareEstimate, search: Engine[Search]) -> Sequence[str]:
+def next_text(found: RareEstimate, search: Engine[Search]) -> str:
     """Why the search ended, and the next useful command."""
     out = search.options.out
-    why = 'interrupted' if search.interrupted else search.stopped
-    lines = [f'ended: {why}'] if why else []
     failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
-    if search.interrupted or (search.stopped and not search.exhausted):
-        lines.append('next: the same command with --resume continues it')
-    elif found.state is State.UNCLEAR:
-        more = '' if found.plain else (
-            '--resume with more --runs adds islands to the same draws, for the lower end, and '
-            'keeps the 95 %; '
-        )
-        lines.append(
-            f'next: {more}a new estimate with more --runs narrows both ends, but is another look: '
-            'tell both, as each misses in up to 5 %'
-        )
-    elif failed:
-        worst = min(failed, key=lambda row: row.headline.upper if row.headline else 0.0)
-        lines.append(
-            f'next: taxinet analyze {shlex.quote(str(out))} for causes, or taxinet explain '
-            f'{shlex.quote(str(out / worst.run_id))} for the worst failure'
-        )
-    else:
-        lines.append(f'next: taxinet analyze {shlex.quote(str(out))}')
-    return lines
+    worst = min(
+        failed, key=lambda row: row.headline.upper if row.headline else 0.0, default=None)
+    return macro_text(
+        _TEXT, 'next', f=found, why='interrupted' if search.interrupted else search.stopped,
+        continues=search.interrupted or (search.stopped and not search.exhausted),
+        out=shlex.quote(str(out)), worst=worst and shlex.quote(str(out / worst.run_id)),
+    )
 
 
 def probability_words(value: float) -> str:
@@ -132,48 +118,11 @@ def probability_words(value: float) -> str:
     return f'{100 * value:.2g} %' if value >= 1e-4 or not value else f'{value:.1e}'
 
 
-def interval_words(low: float, high: float) -> str:
-    """An interval of probabilities."""
-    return f'[{probability_words(low)}, {probability_words(high)}]'
-
-
-def estimate_lines(found: RareEstimate, search: Engine[Search]) -> list[str]:
+def estimate_text(found: RareEstimate, search: Engine[Search]) -> str:
     """What to print: the interval, and what each of its ends rests on."""
-    wide = '' if found.state is State.ESTIMATED else (
-        f'; UNCLEAR: more than {WIDE} times as high as low' if found.low else
-        '; UNCLEAR: an upper end only'
-    )
-    of = f'of {found.drawn:,} draws of the program itself {found.drawn_failed} failed'
-    lines = [
-        f'P({search.options.judging.headline} violated) within '
-        f'{interval_words(found.low, found.high)} (95 %){wide}'
-    ]
-    if found.plain:
-        lines.append(
-            f'{of}, {probability_words(found.probability)}: drawn plainly, as {found.plain}, and '
-            'splitting would give no narrower interval'
-        )
-    else:
-        lines += [
-            f'at least {probability_words(found.low)}: of {found.islands} islands {found.failing} '
-            f'found failures; their mean is {probability_words(found.probability)}',
-        ] if found.islands else []
-        lines.append(
-            f'at most {probability_words(found.high)}: {of}; what all islands missed is in no '
-            'figure but this'
-        )
-    if infra := _without_result(search):
-        lines.append(f'{infra} runs without a result count as moves not made, and as no draws')
-    return lines + [_level_line(number, found) for number in range(len(found.steps))]
-
-
-def _level_line(number: int, found: RareEstimate) -> str:
-    step = found.steps[number]
-    what = 'plain draws' if math.isinf(step.below) else f'rho below {step.below:+.3f}'
-    moves = '' if math.isnan(step.accepted) else f', {step.accepted:.0%} of the moves accepted'
-    return (
-        f'  level {number}: {what}: {probability_words(step.probability)} '
-        f'({step.islands} islands{moves})'
+    return macro_text(
+        _TEXT, 'estimated', f=found, headline=search.options.judging.headline,
+        p=probability_words, wide=WIDE, infra=_without_result(search),
     )
 
 
@@ -201,7 +150,7 @@ def tail_picture(found: RareEstimate, title: str, headline: str) -> Picture:
         )
         axes.vlines(
             0.0, found.low or low.min(), found.high, color=theme.failed, linewidth=4, alpha=0.6,
-            label=f'P(failure) {interval_words(found.low, found.high)}',
+            label=f'P(failure) [{probability_words(found.low)}, {probability_words(found.high)}]',
         )
         axes.set_yscale('log')
         axes.set_ylim(top=1.5)

@@ -86,9 +86,9 @@ def _print(console: Console, findings: Findings, report: Report, folder: Path) -
     """Print the summary, with the causes as a table instead of sentences."""
     from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
 
-    in_table = {f'{cause.rank}. {cause.sentence()}.' for cause in findings.causes.found}
+    in_table = tuple(f'{cause.rank}. ' for cause in findings.causes.found)
     for sentence in report.summary:
-        if sentence not in in_table:
+        if not sentence.startswith(in_table):
             console.print(sentence)
     if findings.causes.found:
         console.print(_causes(findings), soft_wrap=False)
@@ -101,6 +101,8 @@ def _print(console: Console, findings: Findings, report: Report, folder: Path) -
 
 
 def _causes(findings: Findings) -> Table:
+    from taxinet_ros.analysis.report.text import p_words
+
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column('#', justify='right')
     table.add_column('cause')
@@ -113,7 +115,7 @@ def _causes(findings: Findings) -> Table:
             str(cause.rank), cause.region.words(), f'{inside.runs:,}',
             f'{100 * inside.rate:.0f} %{known}', f'{100 * cause.outside.rate:.1f} %',
             f'{100 * cause.share:.0f} %', f'{100 * cause.associated[0]:.0f} %',
-            cause.p_words().removeprefix('p ').lstrip('= '),
+            p_words(cause.p).removeprefix('p ').lstrip('= '),
         )
     return table
 

@@ -47,7 +47,7 @@ def bisect(
     from taxinet_ros.analysis.campaign.bisection import (
         bisect_scenes,
         bisection_json,
-        bisection_lines,
+        bisection_text,
     )
     from taxinet_ros.cli.progress import trial_bar
     from taxinet_ros.core.perception.perception import check_perception
@@ -84,8 +84,7 @@ def bisect(
     write_atomically(out / BISECT_NAME, json_text(values) + '\n')
     if as_json:
         print_json(values)
-    for line in bisection_lines(found):
-        console.print(line)
+    console.print(bisection_text(found))
     console.print(f'written: {out / BISECT_NAME}')
     unclear = any(one.unclear for one in found.scenes)
     return ExitCode.INCOMPLETE if unclear else ExitCode.OK

@@ -99,10 +99,10 @@ def run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
         as_json: print the result as JSON, and all else on standard error.
     """
     from taxinet_ros.analysis.search.rare import (
-        estimate_lines,
         estimate_of,
+        estimate_text,
         estimate_values,
-        next_lines,
+        next_text,
         unfinished_words,
         write_estimate,
     )
@@ -129,12 +129,11 @@ def run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
             return _exit_code(search, ExitCode.INCOMPLETE)
         found = estimate_of(search)
         table, *pictures = write_estimate(found, search)
-        values, lines = estimate_values(found, search), estimate_lines(found, search)
+        values, text = estimate_values(found, search), estimate_text(found, search)
     if as_json:
         print_json(values)
     written = ', '.join([f'written: {table}', *(path.name for path in pictures)])
-    for line in (*lines, written, *next_lines(found, search)):
-        console.print(line)
+    console.print('\n'.join([text, written, next_text(found, search)]))
     estimated = found.state is State.ESTIMATED
     return _exit_code(search, ExitCode.OK if estimated else ExitCode.INCOMPLETE)
 

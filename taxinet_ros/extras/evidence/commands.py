@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,10 +13,7 @@ from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.cli.show import print_json
 from taxinet_ros.errors import ExitCode
 
-if TYPE_CHECKING:
-    from taxinet_ros.extras.evidence.evidence import Collected
-    from taxinet_ros.extras.evidence.verify import Verification
-
+_TEXT = Path(__file__).with_name('show.j2')
 evidence_app = command_group(
     'Write evidence toward a requirement, all by hash, and verify it.'
 )
@@ -74,7 +70,9 @@ def write_evidence(
     """
     from rich.console import Console
 
+    from taxinet_ros.analysis.report.text import macro_text
     from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.extras.evidence.argument import goals
     from taxinet_ros.extras.evidence.evidence import make_evidence, parse_claim
     from taxinet_ros.extras.evidence.inputs import read_requirement
 
@@ -88,7 +86,11 @@ def write_evidence(
     if as_json:
         print_json(found.content)
     else:
-        _show(_evidence_lines(found, out))
+        print(macro_text(
+            _TEXT, 'written', content=found.content, out=out,
+            goals=goals(found.content['argument']),
+            files=sorted(path.name for path in out.iterdir()),
+        ))
     verdicts = {one['claim']['verdict'] for one in found.content['systems'] if one['claim']}
     raise typer.Exit(
         ExitCode.VIOLATED if 'refuted' in verdicts
@@ -120,6 +122,7 @@ def verify_evidence(
     """
     from rich.console import Console
 
+    from taxinet_ros.analysis.report.text import macro_text
     from taxinet_ros.cli.progress import stage_bars
     from taxinet_ros.extras.evidence.verify import verify
 
@@ -135,49 +138,8 @@ def verify_evidence(
             'unchecked': found.unchecked, 'notes': found.notes,
         })
     else:
-        _show(_verification_lines(found, folder))
+        print(macro_text(_TEXT, 'verified', found=found, folder=folder))
         if found.damaged:
             print(f'taxinet: error: {folder}: evidence does not hold: {found.damaged[0]}',
                   file=sys.stderr)
     raise typer.Exit(found.code)
-
-
-def _evidence_lines(found: Collected, out: Path) -> Iterable[str]:
-    from taxinet_ros.extras.evidence.argument import goals
-
-    content = found.content
-    for one in goals(content['argument']):
-        word = 'undeveloped' if one['undeveloped'] else one['verdict']
-        why = f' ({one["why"]})' if one['why'] else ''
-        yield f'{one["id"]:<4}{word:<13}{one["text"]}{why}'
-    limits = content['limits']
-    own = [one for one in limits if one['source'] == 'inputs']
-    yield f'{len(limits)} known limits, {len(own)} of them from these inputs:'
-    for limit in own:
-        about = f'{limit["about"]}: ' if limit['about'] else ''
-        yield f'  {about}{limit["words"]}'
-    unknown = [name for name, one in content['items'].items() if one['sha256'] is None]
-    yield f'{len(content["items"])} items by hash' + (
-        f', unknown: {", ".join(unknown)}' if unknown else ''
-    )
-    yield f'{out}: {", ".join(sorted(path.name for path in out.iterdir()))}'
-    yield f'next: taxinet evidence verify {out}'
-
-
-def _verification_lines(found: Verification, folder: Path) -> Iterable[str]:
-    for word, lines in (
-        ('BAD', found.damaged), ('DIFFERS', found.different), ('unclear', found.unchecked),
-        ('note', found.notes),
-    ):
-        yield from (f'{word:<8}{line}' for line in lines)
-    checked = ', '.join(f'{count:,} {what}' for what, count in found.checked.items()) or 'nothing'
-    wrong = len(found.damaged) + len(found.different)
-    yield f'{folder}: {checked}: ' + (
-        'all holds' if found.holds else f'{wrong} do not hold' if wrong
-        else 'not all could be verified'
-    )
-
-
-def _show(lines: Iterable[str]) -> None:
-    for line in lines:
-        print(line)

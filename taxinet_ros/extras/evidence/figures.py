@@ -71,7 +71,7 @@ def claim_verdict(formula: Mapping[str, Any], target: float) -> tuple[Verdict, s
 
 def interval_words(low: float, high: float) -> str:
     """Ends of an interval in percent with two decimals, rounded outwards."""
-    return f'{math.floor(1e4 * low + 1e-6) / 100:g}-{math.ceil(1e4 * high - 1e-6) / 100:g} %'
+    return f'{math.floor(1e4 * low + 1e-6) / 100:.2f}–{math.ceil(1e4 * high - 1e-6) / 100:.2f} %'
 
 
 def share_json(found: ProgramRate, *, rated: bool = True) -> dict[str, Any]:

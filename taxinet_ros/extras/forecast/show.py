@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.cli.show import print_json
@@ -145,7 +145,9 @@ def show_forecast(
     if plot is not None:
         picture = forecast_picture(shown, confidence=confidence, spec=forecast.spec)
         write_atomically(plot, png_bytes(picture, LIGHT))
-    _print('shown', as_json, values, spec=forecast.spec, plot=plot)
+    # Below any end that it has seen, a bound is an extrapolation that tells nobody anything.
+    worst = float(forecast.model.outcomes.min())
+    _print('shown', as_json, values, spec=forecast.spec, plot=plot, worst=worst)
     return ExitCode.INCOMPLETE if any(one['outside'] for one in values) else ExitCode.OK
 
 
@@ -154,12 +156,7 @@ def _print(block: str, as_json: bool, values: Any, **more: Any) -> None:
     if as_json:
         print_json(values)
         return
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )
-    macros = environment.get_template('show.j2').module
-    print(getattr(macros, block)(plain(values), **more), end='')
+    print(macro_text(Path(__file__).with_suffix('.j2'), block, values=plain(values), **more))
 
 
 def _one_run(recording: Recording, run_id: str | None) -> Recording:
@@ -262,7 +259,7 @@ def _draw(axes: Axes, theme: Theme, run: ShownRun, percent: str) -> None:
               label='monitor: cannot end above')
     if run.final is not None and math.isfinite(run.final):
         axes.axhline(run.final, color=theme.ink, linestyle=':', linewidth=1.3,
-                     label='what came out')
+                     label='how it ended')
     axes.axhline(0.0, color=theme.ink, linewidth=0.8)
     # Failures may be a hundred times deeper than passes are high.
     axes.set_yscale('symlog', linthresh=_LINEAR)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
 from taxinet_ros.core.verdict.judging import Judging
@@ -85,8 +85,12 @@ def run_tune(
         return ExitCode.INTERRUPTED
     text = json_text(tuned_json(tuned, options))
     write_atomically(out / JSON_NAME, f'{text}\n')
-    for line in (*tuned_lines(tuned, options), f'written: {out / JSON_NAME}'):
-        console.print(line, soft_wrap=True)
+    tried = RunSettings(perception=perception, gains=tuned.found.gains, judging=judging)
+    console.print(macro_text(
+        Path(__file__).with_suffix('.j2'), 'tuned', t=tuned, rate=rate,
+        command=tried.command(learning.source, verb='falsify'),
+    ), soft_wrap=True)
+    console.print(f'written: {out / JSON_NAME}', soft_wrap=True)
     if as_json:
         print(text)
     return ExitCode.OK if tuned.verdict == 'better' else ExitCode.INCOMPLETE
@@ -126,60 +130,3 @@ def _run(tuning: Tuning, console: Console) -> Tuned | None:
 def gain_words(one: Candidate) -> str:
     """Gains of a candidate as options of a command."""
     return ' '.join(f'--set {GAIN_PREFIX}{name}={value:.4g}' for name, value in one.gains.items())
-
-
-def tuned_lines(tuned: Tuned, options: TuneOptions) -> list[str]:
-    """Text lines on a result."""
-    start, found, scenes = tuned.start, tuned.found, tuned.scenes
-    most = len(tuned.candidates) * scenes
-    broken = sum(one.worst is None for one in tuned.candidates)
-    lines = [
-        f'searched: {len(tuned.candidates)} candidates, {tuned.runs:,} runs; '
-        f'{most - tuned.runs:,} of {most:,} were not needed, as their candidates could not win'
-    ]
-    if broken:
-        lines.append(f'not judged: {broken} candidates, whose runs broke')
-    if tuned.verdict == 'same':
-        return [*lines, f'no candidate is better at its worst than the initial gains '
-                        f'(rho {start.worst:+.2f} in {start.scene}); more --candidates or wider '
-                        'ranges (--vary) may find some']
-    lines.append(
-        f'worst of {scenes} scenes: rho {start.worst:+.2f} before ({start.scene}), '
-        f'{found.worst:+.2f} now ({found.scene})'
-    )
-    rates, change = tuned.satisfied, tuned.rho.change
-    pairs = rates.pairs
-    if tuned.unjudged:
-        lines.append(
-            f'{len(tuned.unjudged)} unseen scenes could not be judged: '
-            f'{", ".join(tuned.unjudged[:5])}'
-        )
-    if pairs:
-        worst = [min(rhos.values()) for rhos in (tuned.before, tuned.after)]
-        lines += [
-            f'on {pairs} unseen scenes: {rate(rates.first, pairs).words()} satisfied before, '
-            f'{rate(rates.second, pairs).words()} now; {rates.only_second} only now, '
-            f'{rates.only_first} only before (McNemar p = {rates.p_value:.2g})',
-            f'worst rho there: {worst[0]:+.2f} before, {worst[1]:+.2f} now; typical change '
-            f'{_interval(change)}',
-        ]
-    lines.append({
-        'better': 'better on scenes that the search has not seen',
-        'worse': 'WORSE on scenes that the search has not seen: keep the initial gains',
-        'unclear': 'not shown to be better on scenes that the search has not seen: keep the '
-        'initial gains; more --unseen scenes may tell',
-    }[tuned.verdict])
-    if tuned.verdict == 'better':
-        lines.append(
-            'next: ' + RunSettings(
-                perception=options.perception, gains=found.gains, judging=options.learning.judging,
-            ).command(options.learning.source, verb='falsify')
-        )
-    return lines
-
-
-def _interval(change: Sequence[float]) -> str:
-    value, low, high = change
-    if math.isnan(low):
-        return f'{value:+.3f}'
-    return f'{value:+.3f} ({low:+.3f} to {high:+.3f})'

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from taxinet_ros.analysis.campaign.bisection import (
     bisect_scenes,
     bisection_json,
-    bisection_lines,
+    bisection_text,
 )
 
 TABLES = st.integers(2, 9).flatmap(lambda networks: st.lists(
@@ -62,8 +62,9 @@ def test_each_scene_is_blamed_on_its_own_network():
     assert (found.broken_by(2), found.broken_by(4)) == (('0',), ('1',))
     assert len(bench.asked) == 2 * 4 + 2 + 2
     assert bisection_json(found)['broken'] == {'n1': [], 'n2': ['0'], 'n3': [], 'n4': ['1']}
-    first, *lines = bisection_lines(found)
-    assert first.startswith('4 scenes: 2 satisfied by n0 and violated by n4, 0 the other way round')
+    first, *lines = bisection_text(found).splitlines()
+    assert first.startswith(
+        '4 scenes (12 runs): 2 satisfied by n0 and violated by n4, 0 the other way round')
     assert 'n2 breaks 1 scene that n1 satisfied: 0' in lines
 
 
@@ -71,4 +72,4 @@ def test_a_run_without_a_verdict_is_unclear_and_blames_nobody():
     found, _ = bisect([[True, None, False]])
     (scene,) = found.scenes
     assert (scene.broken, scene.unclear) == ((), True)
-    assert 'not judged with some network, so unclear: 0' in bisection_lines(found)
+    assert 'not judged with some network, so unclear: 0' in bisection_text(found)

@@ -181,7 +181,7 @@ def test_given_other_settings_then_the_comparison_names_them(tmp_path):
     )
     one = comparison()
     assert one.differing == ('gains', 'world', 'timing', 'assumed bounds', 'the formula phi')
-    assert 'Not known to be the same: gains, world' in said_of(runs, one)
+    assert 'Besides the network, these may differ: gains, world' in said_of(runs, one)
     baseline.facts.clear()
     assert 'no record' in said_of(runs, comparison())
 

@@ -76,7 +76,7 @@ def test_given_a_crossing_when_looked_for_then_its_limits_are_found(tmp_path):
     assert found[0].inside.low < 0.8 < found[0].inside.high
     assert found[0].outside.rate == pytest.approx(0.05, abs=0.02)
     assert found[0].p < 0.001
-    assert 'along the track' in found[0].sentence()
+    assert 'along the track' in found[0].region.words()
 
 
 def test_given_the_papers_shadow_when_looked_for_then_sky_and_hours_are_found_together(tmp_path):
@@ -90,7 +90,7 @@ def test_given_the_papers_shadow_when_looked_for_then_sky_and_hours_are_found_to
     hours = part_about(found[0], 'time_of_day_h')
     assert (hours.low, hours.high) == (pytest.approx(13.4, abs=0.2), pytest.approx(15.5, abs=0.2))
     assert found[0].inside.rate == pytest.approx(0.67, abs=0.1)
-    assert found[0].sentence().startswith('Between 13:')
+    assert found[0].region.words().startswith('between 13:')
 
 
 def test_given_two_numeric_conditions_when_looked_for_then_both_are_found(tmp_path):
@@ -276,7 +276,7 @@ def test_t16_given_runs_of_a_search_when_looked_for_then_figures_are_of_what_was
     assert cause.outside.rate == pytest.approx(0.05, abs=0.03)
     assert cause.inside.failures / failed.sum() == cause.share
     assert np.isnan(cause.inside.low), 'a sampler that learns leaves no interval'
-    assert 'of the runs made' in cause.sentence()
+    assert 'of the runs made' in cause.inside.words()
 
 
 def test_t16_given_two_causes_when_looked_for_then_what_goes_with_each_is_free_of_order(tmp_path):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import taxinet_ros as tx
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.core.assurance.monitor import conformal_threshold
 from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.motion.controller import SteeringGains
@@ -22,7 +23,10 @@ from taxinet_ros.extras.assurance.calibrate import (
 )
 from taxinet_ros.extras.assurance.judge import (
     FACTORS,
+    REACH_S,
+    WANTED_RATIO,
     WITHOUT,
+    Judged,
     JudgeOptions,
     Trial,
     due_s,
@@ -34,7 +38,7 @@ from taxinet_ros.extras.assurance.judge import (
     summarize,
     trade_of,
 )
-from taxinet_ros.extras.assurance.show import judged_lines, run_judge, run_show
+from taxinet_ros.extras.assurance.show import TEXT, run_judge, run_show
 from taxinet_ros.files.record import RECORD_NAME, read_record
 
 
@@ -93,6 +97,10 @@ def summarized(trials):
     return summarize(trials, {one.scene: np.full(len(FACTORS), math.nan) for one in trials})
 
 
+def text(judged: Judged) -> str:
+    return macro_text(TEXT, 'judged', j=judged, reach_s=REACH_S, wanted=WANTED_RATIO)
+
+
 def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false():
     bad = {'satisfied': False, 'rho_m': -9.0, 'due_s': 12.0}
     off = {**bad, 'left_runway': True, 'off_s': 20.0}
@@ -116,7 +124,8 @@ def test_given_trials_then_alarms_are_counted_as_in_time_late_missed_and_false()
     guarded = found.with_fallback['stop']
     assert (guarded.fixed, guarded.broken) == (1, 1)
     assert guarded.off_ratio.value == 2
-    assert 'of 5 failed runs 1 have an alarm in time, 2 later, 2 none' in judged_lines(found)[1]
+    assert '5 failed runs: 1 with an alarm in time, 2 with one too late, 2 with none' in text(found)
+    assert 'stop: 1 run leaves the runway, 2 without it; that these are fewer' in text(found)
 
 
 def test_false_alarms_are_told_by_start_and_by_hour_after_the_aircraft_had_time_to_settle():
@@ -131,7 +140,8 @@ def test_false_alarms_are_told_by_start_and_by_hour_after_the_aircraft_had_time_
     ])
     assert longer.false_share == found.false_share
     assert longer.false_per_h.value == pytest.approx(1 / ((12 + 6 * 32) / 3600))
-    assert '4 have an alarm: 40.0 % (12.2-73.8); 1 after the first 10 s' in judged_lines(found)[-1]
+    alarms = '4 with a false alarm, 40.0 % (12.2–73.8 %); 1 of these after the first 10 s'
+    assert alarms in text(found)
 
 
 def test_a_run_that_was_never_within_the_line_has_no_lead_before_leaving_it():
@@ -144,10 +154,10 @@ def test_a_run_that_was_never_within_the_line_has_no_lead_before_leaving_it():
     assert found.lead_s == pytest.approx((-math.inf, 1.0, 2.6))
     assert (found.unreached, found.in_time, found.missed) == (5, 6, 2)
     assert found.unreached_alarm_s == pytest.approx((0.4, 0.4, math.inf))
-    told, late = judged_lines(found)[2:4]
-    assert '3 of them left the 1.5 m: 2 with an alarm in time, 0 later, 1 without' in told
-    assert told.endswith(': 1.00 in the median, no alarm to 2.60 in the middle 80 %')
-    assert late.endswith(': 0.40 in the median, 0.40 to no alarm in the middle 80 %')
+    left, late = text(found).splitlines()[2:4]
+    assert '2 with an alarm before that, 0 after, 1 without' in left
+    assert left.endswith('leaving it 1.0 s (median; middle 80 %: no alarm to 2.6 s)')
+    assert late.endswith('to the alarm 0.4 s (median; middle 80 %: 0.4 s to no alarm)')
     assert plain(found)['lead_s'] == [None, pytest.approx(1.0), pytest.approx(2.6)]
 
 
@@ -163,7 +173,7 @@ def test_a_failed_run_without_an_alarm_counts_in_the_lead_times_as_later_than_an
     never = summarized([trial(k, **off) for k in range(3)])
     assert never.left == (0, 0, 3)
     assert never.lead_s == never.off_lead_s == (-math.inf,) * 3
-    assert 'no alarm in the median, no alarm to no alarm' in judged_lines(never)[4]
+    assert 'runway no alarm (median; middle 80 %: no alarm to no alarm)' in text(never)
     assert plain(never)['off_lead_s'] == [None] * 3
     assert math.isnan(summarized([trial(0)]).lead_s[0])
 
@@ -236,7 +246,7 @@ def test_given_a_calibration_then_its_monitor_is_judged(tmp_path, judging, capsy
     options = JudgeOptions(
         **{**judging, 'monitor': str(tmp_path / 'b.npz')}, out=tmp_path / 'out')
     assert run_judge(options, as_json=False) == 0
-    assert '2 scenes; first alarms by check:' in capsys.readouterr().out
+    assert '2 scenes; first alarm raised by:' in capsys.readouterr().out
 
 
 def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_an_end_amid(
@@ -244,7 +254,7 @@ def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_a
 ):
     assert run_judge(JudgeOptions(**judging, out=tmp_path / 'out'), as_json=False) == 0
     told = capsys.readouterr().out
-    assert '2 scenes; first alarms by check: none' in told
+    assert '2 scenes; first alarm raised by: none' in told
     assert 'no run leaves the runway, with it or without' in told
     kept = json.loads((tmp_path / 'out' / 'assurance.json').read_text())
     assert kept['judged']['runs'] == 2

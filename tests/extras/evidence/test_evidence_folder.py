@@ -236,7 +236,7 @@ def test_given_a_judged_monitor_then_the_page_shows_it_and_verify_finds_a_change
     out = made(tmp_path, monitor_table=judged)
     page = ' '.join(_Text((out / 'evidence.html').read_text(encoding='utf-8')).words)
     assert 'Run-time monitor, in the same scenes without a fallback and with each' in page
-    assert '33.3 % (0.84-90.58 %)' in page
+    assert '33.3 % (0.84–90.58 %)' in page
     assert verified(out).holds
     moved = judged.rename(tmp_path / 'moved')
     assert any('judgement monitor-1 is not there' in line for line in verified(out).damaged)

@@ -222,7 +222,7 @@ def test_given_the_commands_then_they_say_what_holds_and_draw_it(
     made = tmp_path / 'near.json'
     code, said, _ = taxinet('forecast', 'calibrate', folders / 'cal', '--out', made)
     assert code == 0
-    assert '20 runs trained and 20 calibrated' in said
+    assert 'learned from 20 runs and calibrated on 20' in said
     code, said, _ = taxinet('forecast', 'check', made, folders / 'other')
     assert code == 0
     assert '20 runs, ' in said

@@ -98,7 +98,7 @@ def test_given_all_trials_pass_then_the_interval_is_that_of_clopper_and_pearson(
         'with perfect estimates satisfy phi (95 % interval 79–100 %).'
     )
     assert 'rain of 37 % or more' in where
-    assert 'dry, 69 % of its error disappears' in where
+    assert '69 % of the error disappears in the same scene, dry' in where
     assert sure == (
         'Confirmed by an experiment: dry, 28 instead of 0 of 32 fresh scenes are satisfied: '
         '+88 points (+69 to +95, p < 0.001).'

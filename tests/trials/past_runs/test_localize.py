@@ -268,7 +268,7 @@ def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alo
     assert [case.blame for case in found.cases] == [
         Blame.CONTROLLER, Blame.UNKNOWN, Blame.CONTROLLER]
     told = ' '.join(localisation_sentences(found))
-    assert f'2 trials could not be judged and count as unknown: run-1 as-recorded ({why})' in told
+    assert f'2 reruns could not be judged (run-1 as-recorded: {why}; ' in told
     # What is done is kept, and what was lost is made once it can be.
     (tmp_path / 'how').unlink()
     counts: list[int] = []
