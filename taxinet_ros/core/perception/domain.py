@@ -2,8 +2,9 @@
 
 A domain has a list of words, or the least and the greatest number, by scenario key. Of a network
 for any place or camera it has their numbers, such as the width of the runway, instead of their
-names. It is in a network's card, or under ``domain`` in the description of an ONNX network. Scenes
-outside it are named before they are run, and where runs are analysed; an unknown domain names none.
+names, and the sun's elevation, as the hours say little about the light of any place. It is in a
+network's card, or under ``domain`` in the description of an ONNX network. Scenes outside it are
+named before they are run, and where runs are analysed; an unknown domain names none.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from taxinet_ros.core.camera.light import sun_position
 from taxinet_ros.core.rig.catalogue import CAMERAS
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
@@ -20,6 +22,7 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA,
     CAMERA_OFFSETS,
     CATALOGUES,
+    DATE,
     PLACE,
     RAIN,
     SKY,
@@ -32,6 +35,7 @@ from taxinet_ros.files.plain_values import Section, expected
 Domain = Mapping[str, tuple[Any, ...]]
 
 WIDTH = 'runway_width_m'
+SUN = 'sun_elevation_deg'
 _NUMBERS: Mapping[str, tuple[str, str, str, Callable[[Any], float]]] = {
     WIDTH: (PLACE.key, 'runway width', 'm', lambda place: place.runway.width_m),
     'camera_aside_m': (CAMERA.key, 'camera aside', 'm', lambda one: abs(one.offset_m[1])),
@@ -47,7 +51,7 @@ _NUMBERS: Mapping[str, tuple[str, str, str, Callable[[Any], float]]] = {
 _WORDS = tuple(field.key for field in (CAMERA, PLACE, AIRCRAFT_MODEL, TRACK, SKY))
 _OFFSETS = {field.key: (0.0, 0.0) for field in CAMERA_OFFSETS}
 _STEPS = {
-    TIME_OF_DAY.key: 0.5, RAIN.key: 5.0,
+    TIME_OF_DAY.key: 0.5, SUN: 1.0, RAIN.key: 5.0,
     **{key: 0.5 if unit == '°' else 0.01 for key, (_, _, unit, _) in _NUMBERS.items()},
     **{field.key: 0.05 if field.unit == 'm' else 0.5 for field in CAMERA_OFFSETS},
 }
@@ -67,11 +71,15 @@ def domain_of_scenes(
         unnamed: keys of documents that are described by numbers instead of their names.
     """
     seen: dict[str, set[Any]] = {key: set() for key in DOMAIN_KEYS}
+    moments: set[tuple[Any, ...]] = set()
     for scene in scenes:
         for key in DOMAIN_KEYS:
             value = scene.get(key)
             if isinstance(value, str | float) and value == value and value != '':
                 seen[key].add(value)
+        moments.add(tuple(scene.get(key) for key in (PLACE.key, DATE.key, TIME_OF_DAY.key)))
+    if PLACE.key in unnamed:
+        seen[SUN] = set(_elevations(moments))
     for key, (document, _, _, number) in _NUMBERS.items():
         if key == WIDTH or document in unnamed:
             seen[key] |= {number(one) for one in _documents(document, seen[document])}
@@ -83,6 +91,13 @@ def domain_of_scenes(
         key: _spread(key, values) for key, values in seen.items()
         if values and key not in unnamed and (key not in _OFFSETS or any(values))
     }
+
+
+def _elevations(moments: Iterable[tuple[Any, ...]]) -> Iterator[float]:
+    """Elevation of the sun [deg] at places, dates and hours that are known."""
+    for word, date, hour in moments:
+        for place in _documents(PLACE.key, (word,) if word and date and hour is not None else ()):
+            yield math.degrees(sun_position(date, 3600 * hour, place.runway)[1])
 
 
 def _spread(key: str, values: Iterable[Any]) -> tuple[Any, ...]:
@@ -107,15 +122,20 @@ def _documents(key: str, words: Iterable[str]) -> Iterator[Any]:
 def joined_domains(domains: Sequence[Domain | None]) -> Domain | None:
     """The domain of all pictures together; None if one is unknown.
 
-    What one describes in numbers, such as places, all do.
+    What one describes in numbers, such as places, all do; the sun's elevation is of those that
+    have it, as one with named places does not say.
     """
     known = [{**_OFFSETS, **domain} for domain in domains if domain is not None]
     if not known or len(known) < len(domains):
         return None
     unnamed = {key for key, *_ in _NUMBERS.values() if any(key not in one for one in known)}
     known = [_in_numbers(domain, unnamed) for domain in known]
-    keys = [key for key in DOMAIN_KEYS if all(key in domain for domain in known)]
-    joined = {key: _spread(key, (one for domain in known for one in domain[key])) for key in keys}
+    keys = [
+        key for key in DOMAIN_KEYS if (any if key == SUN else all)(key in one for one in known)]
+    joined = {
+        key: _spread(key, (one for domain in known for one in domain.get(key, ())))
+        for key in keys
+    }
     return {key: values for key, values in joined.items() if values != _OFFSETS.get(key)}
 
 
@@ -169,10 +189,10 @@ def domain_words(domain: Domain | None, keys: Iterable[str] = DOMAIN_KEYS) -> st
 
 
 def _part_words(key: str, domain: Domain) -> str:
-    if key in _NUMBERS:
-        _, title, unit, _ = _NUMBERS[key]
+    if key in _NUMBERS or key == SUN:
+        title, unit = _NUMBERS[key][1:3] if key in _NUMBERS else ('sun', '° high')
         ends = ' to '.join(dict.fromkeys(f'{end:.3g}' for end in domain[key]))
-        return f'{title} {ends}{unit}' if unit == '°' else f'{title} {ends} {unit}'
+        return f'{title} {ends}{unit}' if unit.startswith('°') else f'{title} {ends} {unit}'
     field = BY_KEY[key]
     if field.key in _WORDS:
         text = f'{field.label} {", ".join(domain[field.key])}'
