@@ -96,7 +96,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'camera show': ('taxinet camera show', 'taxinet camera show wing'),
     'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
     'camera sheet': ('taxinet camera sheet',),
-    'camera compare': ('taxinet camera compare frames --json',),
     'place': ('taxinet place', 'taxinet place kmwh_04'),
     'aircraft': ('taxinet aircraft', 'taxinet aircraft caravan'),
     'flightgear start': ('taxinet flightgear start --at BIKF',),
