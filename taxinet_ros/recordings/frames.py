@@ -305,20 +305,6 @@ class NodeAnswers(Perception):
         return next(self._answers, NO_ESTIMATE)
 
 
-def pictures_of(
-    frames: Frames, image: str, numbers: Sequence[int]
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Number and pixels of some frames, by another pass through the bag."""
-    wanted = frozenset(numbers)
-    if not wanted:
-        return
-    for number, (_, _, message) in enumerate(frames.recording.decoded((image,))):
-        if number in wanted:
-            yield number, picture(message)
-        if number >= max(wanted):
-            return
-
-
 def frame_table(frames: Frames, setup: Setup, latency_s: float = 0.0) -> pd.DataFrame:
     """One row a frame: truth at the time of its stamp less the latency, estimates and errors."""
     stamps = frames.stamps_ns

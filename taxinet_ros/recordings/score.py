@@ -27,7 +27,7 @@ from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
 from taxinet_ros.core.trace import trace_signals
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import (
@@ -42,7 +42,6 @@ from taxinet_ros.recordings.frames import (
     estimates_of,
     frame_table,
     own_scenario,
-    pictures_of,
     place_notes,
     prepared,
     read_frames,
@@ -51,7 +50,7 @@ from taxinet_ros.recordings.frames import (
     the_topic,
     time_notes,
 )
-from taxinet_ros.recordings.reader import IMAGES, Recording
+from taxinet_ros.recordings.reader import IMAGES, Recording, picture
 from taxinet_ros.recordings.statistics import (
     Latency,
     Mean,
@@ -81,6 +80,7 @@ _SCALES = (
 )
 """Of cross-track and heading error: what the scale of the estimates would be, and why."""
 _SCALE_SHARE = 0.2
+Picture = NDArray[np.uint8]
 _CLEAR_CORRELATION = 0.8
 
 
@@ -151,25 +151,6 @@ class PathVerdict:
     upper: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Alarms:
-    """What a run-time monitor says of the frames of a recording, thinned to 10 Hz.
-
-    Attributes:
-        monitor: its word.
-        frames: number of frames it saw.
-        alarms: number of frames with an alarm.
-        reasons: alarms by check.
-        first_s: time of the first one in its bag; NaN if there is none.
-    """
-
-    monitor: str
-    frames: int
-    alarms: int
-    reasons: Mapping[str, int]
-    first_s: float
-
-
 @dataclass(kw_only=True, eq=False)
 class Score:
     """The findings.
@@ -185,12 +166,16 @@ class Score:
         latency: estimated.
         applied_s: latency that was taken off.
         verdicts: of requirements.
-        alarms: of the monitor.
+        alarms: what the monitor says of the frames, thinned to 10 Hz: their number, alarms by
+            reason and the time of the first one; None without a monitor.
         mirrored: errors with the other sign, see :func:`.mirrored_errors`.
         notes: likely mistakes and limits, one line each.
         scenario: of a run of ours, or None.
         worst: rows of the largest errors, the worst first.
         start: our scenario of how the recording began; None if it was not simulated.
+        gap: errors on recorded and on rendered frames of the same poses, as of two networks; empty
+            if it was not simulated.
+        pairs: pictures by row, recorded and rendered, of some.
     """
 
     setup: Setup
@@ -203,11 +188,13 @@ class Score:
     applied_s: float
     verdicts: list[PathVerdict]
     mirrored: Mapping[str, float]
-    alarms: Alarms | None = None
+    alarms: Mapping[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
     scenario: Scenario | None = None
     worst: list[int] = field(default_factory=list)
     start: Scenario | None = None
+    gap: Sequence[Slice] = ()
+    pairs: Mapping[int, tuple[Picture, Picture]] = field(default_factory=dict)
 
     @property
     def scored(self) -> NDArray[np.bool_]:
@@ -221,7 +208,7 @@ class Score:
         return {status: found[status] for status in STATUSES if found[status]}
 
 
-Play = Callable[[str, Iterator[NDArray[np.uint8]], Scenario], Sequence[TrackingError]]
+Play = Callable[[str, Iterator[Picture], Scenario], Sequence[TrackingError]]
 """Plays pictures into the node of a command, and gives its answers."""
 
 
@@ -517,7 +504,7 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     if isinstance(perceptions[0], NodeAnswers):
         return f'{begun}: mirrored pictures, or the signs of the truth; left is positive'
     errors: list[tuple[float, float]] = []
-    for row, pixels in _spread_pictures(found, _FLIPPED):
+    for row, pixels in row_pictures(found, spread(found, _FLIPPED)):
         truth = float(cell(found.table, row, 'cte_m'))
         seen = [next(estimates_of(one, perceptions, found.setup.rig))
                 for one in (pixels, np.ascontiguousarray(pixels[:, ::-1]))]
@@ -529,29 +516,29 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     return f'{begun}: the truth is right positive, or its heading is turned; left is positive'
 
 
-def _spread_pictures(
-    found: Score, count: int
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Rows and pictures of up to ``count`` scored frames, evenly spread."""
+def spread(found: Score, count: int) -> list[int]:
+    """Rows of up to ``count`` scored frames, evenly spread."""
     rows = np.flatnonzero(found.scored)
-    yield from row_pictures(found, rows[np.linspace(
-        0, len(rows) - 1, min(count, len(rows))).astype(int)].tolist())
+    return rows[np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int)].tolist()
 
 
-def row_pictures(found: Score, rows: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Row and picture of some rows of the table, bag by bag in the order of recording."""
+def row_pictures(found: Score, rows: Sequence[int]) -> Iterator[tuple[int, Picture]]:
+    """Row and picture of some rows, in the order of the table, by another pass through the bags."""
+    chosen = found.table.loc[sorted(rows)]
     for frames in found.bags:
-        own = {
-            int(cell(found.table, row, 'number')): row for row in rows
-            if cell(found.table, row, 'bag') == str(frames.recording.path)
-        }
-        for number, pixels in pictures_of(frames, found.setup.image, list(own)):
-            yield own[number], pixels
+        own = chosen.index[chosen['bag'] == str(frames.recording.path)].tolist()
+        wanted = dict(zip(chosen.loc[own, 'number'].tolist(), own, strict=True))
+        messages = frames.recording.decoded((found.setup.image,)) if own else ()
+        for number, (_, _, message) in enumerate(messages):
+            if number in wanted:
+                yield wanted[number], picture(message)
+            if number >= max(wanted):
+                break
 
 
-def _watch(found: Score, word: str) -> Alarms:
-    """Show the frames to a run-time monitor, ten a second."""
-    rig = found.setup.rig
+def _watch(found: Score, word: str) -> dict[str, Any]:
+    """Show the frames to a run-time monitor, ten a second, each the nearest to a control step."""
+    rig, table = found.setup.rig, found.table
     if rig is None:
         raise UsageError(
             f'--monitor {word}: needs to know the camera; describe it with --camera FILE')
@@ -559,39 +546,25 @@ def _watch(found: Score, word: str) -> Alarms:
     kinematics = monitor.calibration.fitted.kinematics if isinstance(
         monitor, CalibratedMonitor) else None
     scenario = _scene(found.scenario, rig)
-    reasons, seen, first_s = Counter[str](), 0, math.nan
-    before = -1
-    monitor.begin(scenario)
-    for row, pixels in row_pictures(found, _ten_a_second(found.table)):
-        at: Any = found.table.loc[row]
-        if before < 0 or cell(found.table, before, 'bag') != at['bag']:
+    stamps = table['stamp_ns'][found.scored]
+    steps = np.rint(stamps / CONTROL_PERIOD_NS)
+    off = (stamps - steps * CONTROL_PERIOD_NS).abs()
+    rows = sorted(off.groupby([table['bag'][found.scored], steps]).idxmin().tolist())
+    reasons, first_s, bag = Counter[str](), math.nan, ''
+    for row, pixels in row_pictures(found, rows):
+        at: Any = table.loc[row]
+        if at['bag'] != bag:
             monitor.begin(scenario)
-        before = row
-        scores = monitor.scores(Seen(
-            image=pixels, estimate=_estimate(at), command=_command(at, kinematics)))
-        alarm = alarm_of(scores, row)
-        seen += 1
+            bag = at['bag']
+        estimate = NO_ESTIMATE if math.isnan(at['est_cte_m']) else TrackingError(
+            cte_m=at['est_cte_m'], he_rad=math.radians(at['est_heading_error_deg']))
+        alarm = alarm_of(monitor.scores(Seen(
+            image=pixels, estimate=estimate, command=_command(at, kinematics))), row)
         if alarm is not None:
             reasons[alarm.reason] += 1
-            first_s = first_s if first_s == first_s else float(at['t_s'])
-    return Alarms(monitor=word, frames=seen, alarms=reasons.total(), reasons=dict(reasons),
-                  first_s=first_s)
-
-
-def _ten_a_second(table: pd.DataFrame) -> list[int]:
-    """Rows of scored frames, each nearest to a multiple of the control period."""
-    kept = table[table['status'] == SCORED]
-    steps = np.rint(kept['stamp_ns'] / CONTROL_PERIOD_NS)
-    off = (kept['stamp_ns'] - steps * CONTROL_PERIOD_NS).abs()
-    nearest = off.groupby([kept['bag'], steps]).idxmin()
-    return sorted(int(row) for row in nearest)
-
-
-def _estimate(row: Any) -> TrackingError:
-    cte_m, heading_deg = float(row['est_cte_m']), float(row['est_heading_error_deg'])
-    known = math.isfinite(cte_m)
-    return TrackingError(cte_m=cte_m if known else 0.0, valid=known,
-                         he_rad=math.radians(heading_deg) if known else 0.0)
+            first_s = first_s if math.isfinite(first_s) else float(at['t_s'])
+    return {'monitor': word, 'frames': len(rows), 'alarms': reasons.total(),
+            'reasons': dict(reasons), 'first_s': first_s}
 
 
 def _command(row: Any, kinematics: Kinematics | None) -> TaxiCommand:

@@ -168,12 +168,13 @@ def score(
         raise UsageError('--simulate: not with --perception-cmd; play it into the node in a graph')
     with stage_bars(Console(stderr=True)) as show:
         found = score_bags(options, show, _play if perception_cmd else None)
-    gap, extra = _rendered(found, settings or [], metar) if simulate else ('', {})
+    if simulate:
+        _simulate(found, settings or [], metar)
     if out is None:
-        report = score_report(found, gap, extra)
+        report = score_report(found)
         values = score_json(found, report)
     else:
-        report, values = write_score(found, out, gap, extra)
+        report, values = write_score(found, out)
     if as_json:
         print_json(values)
     else:
@@ -195,23 +196,14 @@ def _play(word: str, pictures: Any, scene: Any) -> Any:
         return play_pictures(word, pictures, scene, Path(log.name))
 
 
-def _rendered(found: Score, settings: list[str], metar: str) -> tuple[str, dict[str, Any]]:
-    """A sentence on the gap to rendered frames, and its figures."""
-    from taxinet_ros.recordings.rendered import (
-        gap_words,
-        metar_weather,
-        render_beside,
-        rendered_figures,
-        start_scenario,
-    )
+def _simulate(found: Score, settings: list[str], metar: str) -> None:
+    from taxinet_ros.recordings.rendered import metar_weather, render_beside, start_scenario
     from taxinet_ros.trials.options import read_settings
 
     weather, unshown = metar_weather(metar) if metar else ({}, [])
     if unshown:
         found.notes.append(f'--metar: {" ".join(unshown)} is not shown by our world')
-    found.start = start_scenario(found, {**weather, **read_settings(settings)})
-    rendered = render_beside(found, found.start)
-    return gap_words(rendered), {'rendered': rendered_figures(found, rendered)}
+    render_beside(found, start_scenario(found, {**weather, **read_settings(settings)}))
 
 
 def _source(

@@ -300,7 +300,8 @@ def _rows(table: Path) -> list[_Row]:
     try:
         with open_regular(table) as file:
             if table.suffix == '.parquet':
-                return list(enumerate(pd.read_parquet(file).to_dict('records'), 1))
+                rows: list[Any] = pd.read_parquet(file).to_dict('records')
+                return list(enumerate(rows, 1))
             text = io.TextIOWrapper(file, encoding='utf-8-sig', newline='')
             reader = csv.DictReader(text, skipinitialspace=True)
             reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
