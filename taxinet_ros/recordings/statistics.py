@@ -194,22 +194,24 @@ def _best_shift(
     unknown = Latency(math.nan, math.nan, math.nan)
     if count < 50:
         return unknown._replace(why=f'{count} frames between samples of the truth, too few')
-    left = np.array([_unexplained(truth, estimates) for truth in shifted])
-    curve = _agreement((left**2).mean(axis=1))
-    best = _peak(shifts, curve)
-    blocks, alike = blocks_of(left[curve.argmax()].T, groups, _LATENCY_BLOCKS)
-    # Correlated frames count as fewer.
-    if float(np.ptp(curve)) * count / alike < _LEAST_GAIN:
-        return unknown._replace(why='the aircraft hardly turns or drifts')
-    # The fits are kept: to first order, the best shift does not depend on their own errors.
+    one = np.zeros(count, np.int64)
+    whole = _likelihood(_moments(shifted, estimates, one)[:, 0])
+    best = _peak(shifts, whole)
+    place = (best - shifts[0]) / _STEP_S
+    before = min(int(place), len(shifts) - 2)
+    here = shifted[before] + (place - before) * (shifted[before + 1] - shifted[before])
+    basis = np.column_stack([np.ones(count), here])
+    left = estimates - basis @ np.linalg.lstsq(basis, estimates, rcond=None)[0]
+    blocks, alike = blocks_of(left.T, groups, _LATENCY_BLOCKS)
     number = int(blocks.max()) + 1
-    sums = np.add.reduceat(left**2, np.flatnonzero(np.diff(blocks, prepend=-1)), axis=1)
+    # Correlated frames count as fewer.
+    if (whole.max() - whole.min()) / alike < _LEAST_GAIN:
+        return unknown._replace(why='the aircraft hardly turns or drifts')
+    terms = _moments(shifted, estimates, blocks)
     drawn = np.random.default_rng(0).multinomial(
         number, np.full(number, 1 / number), _LATENCY_RESAMPLES).astype(np.float64)
-    sizes = drawn @ np.bincount(blocks)
     found = [
-        _peak(shifts, _agreement(np.tensordot(weights, sums, (0, 1)) / size))
-        for weights, size in zip(drawn, sizes, strict=True)
+        _peak(shifts, _likelihood(np.tensordot(terms, weights, (1, 0)))) for weights in drawn
     ]
     low, high = np.percentile(found, [2.5, 97.5])
     if high - low > _WIDEST_S or abs(best) >= _LATEST_S - _STEP_S:
@@ -217,16 +219,25 @@ def _best_shift(
     return Latency(best, float(low), float(high))
 
 
-def _unexplained(truth: Floats, estimates: Floats) -> Floats:
-    """What is left (n, 2) of estimates that are linear in both truths (n, 2)."""
-    basis = np.column_stack([np.ones(len(truth)), truth])
-    left: Floats = estimates - basis @ np.linalg.lstsq(basis, estimates, rcond=None)[0]
-    return left
+def _moments(shifted: Floats, estimates: Floats, blocks: NDArray[np.int64]) -> Floats:
+    """Sums of products of 1, both truths and both estimates, (shifts, blocks, 5, 5)."""
+    starts = np.flatnonzero(np.diff(blocks, prepend=-1))
+    rows = []
+    for truth in shifted:
+        values = np.column_stack([
+            np.ones(len(truth)), truth - truth.mean(axis=0), estimates - estimates.mean(axis=0)])
+        rows.append(np.add.reduceat(values[:, :, None] * values[:, None, :], starts))
+    return np.array(rows)
 
 
-def _agreement(squares: Floats) -> Floats:
-    """Twice the log-likelihood a frame (shifts,), of the mean squares (shifts, 2) that are left."""
-    found: Floats = -np.log(np.maximum(squares, 1e-12)).sum(axis=1)
+def _likelihood(moments: Floats) -> Floats:
+    """Twice the log-likelihood (shifts,) of estimates that are linear in both truths."""
+    count = moments[:, 0, 0]
+    known = moments[:, :3, :3] + 1e-9 * count[:, None, None] * np.eye(3)
+    joint = moments[:, :3, 3:]
+    left = moments[:, 3:, 3:] - joint.transpose(0, 2, 1) @ np.linalg.solve(known, joint)
+    spread = np.diagonal(left, axis1=1, axis2=2) / count[:, None]
+    found: Floats = -count * np.log(np.maximum(spread, 1e-12)).sum(axis=1)
     return found
 
 
