@@ -9,7 +9,7 @@ from __future__ import annotations
 import sqlite3
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,6 +118,27 @@ class Recording:
     def of_type(self, types: Collection[str]) -> list[str]:
         """Topics with messages of some types, the most frequent first."""
         return [name for name, _ in self.counts.most_common() if self.types[name] in types]
+
+    def topic(self, given: str, types: Sequence[str], option: str) -> str:
+        """The topic that is given, without frames behind it, or the only one of some types.
+
+        Raises:
+            UsageError: there is none, or several to choose from.
+        """
+        name, found = given.partition(':')[0], self.of_type(types)
+        if name in found:
+            return name
+        listed = ', '.join(f'{one} ({self.counts[one]})' for one in found)
+        if not name and len(found) > 1:
+            what = 'two cameras, or the same twice' if option == '--image' else 'several'
+            raise UsageError(f'{self.path}: {what}: {listed}; choose with {option}')
+        if not name and found:
+            return found[0]
+        why = f'no such topic: {name} is not in it' if name else 'no topic for it'
+        if name in self.types:
+            why = f'{name} is a {self.types[name]}, expected one of {", ".join(types)}'
+        fits = f'what fits: {listed}' if found else f'it has none of {", ".join(types)}'
+        raise UsageError(f'{self.path}: {option} {given}: {why}; {fits}')
 
     def _note(self, name: str, kind: str, count: int) -> None:
         self.counts[name] += count

@@ -27,6 +27,7 @@ from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
+from taxinet_ros.recordings.frames import ENDS
 from taxinet_ros.recordings.score import (
     NOTABLE_LATENCY_S,
     QUANTITIES,
@@ -184,9 +185,8 @@ def _draw_path(found: Score, quantity: str, figure: Figure, theme: Theme) -> Non
     t_s = kept['t_s'] + kept['bag'].map(begun)
     axes.plot(t_s, kept[name], color=theme.ink, linewidth=1.6, label='truth')
     for number, word in enumerate(found.networks):
-        column = f'est_{name}{"_2" if number else ""}'
-        axes.plot(t_s, kept[column], '.', markersize=2.5, label=Path(word).name,
-                  color=(theme.failed, theme.passed)[number])
+        axes.plot(t_s, kept[f'est_{name}{ENDS[number]}'], '.', markersize=2.5,
+                  label=Path(word).name, color=(theme.failed, theme.passed)[number])
     axes.set_xlabel('time [s]')
     axes.set_ylabel(f'{QUANTITIES[quantity][0]} error [{QUANTITIES[quantity][1]}]')
     style_axes(axes)

@@ -32,6 +32,7 @@ from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import (
     AFTER_LEAP,
+    ENDS,
     OUT_OF_ORDER,
     SCORED,
     STATUSES,
@@ -47,7 +48,6 @@ from taxinet_ros.recordings.frames import (
     read_frames,
     resolved_source,
     shown_pictures,
-    the_topic,
     time_notes,
 )
 from taxinet_ros.recordings.reader import IMAGES, Recording, picture
@@ -240,8 +240,8 @@ def score(
     perceptions += prepared(setup.networks[len(perceptions):], setup.rig)
     bags = [read_frames(one, setup, perceptions, progress) for one in recordings]
     latency = estimate_latency([
-        (one.truth, one.stamps_ns[:one.leap.number], one.estimates[0, :one.leap.number])
-        for one in bags
+        (one.truth, one.stamps_ns[:one.leap.number],
+         one.seen[['est_cte_m', 'est_he_rad']].to_numpy()[:one.leap.number]) for one in bags
     ], setup.track)
     applied_s = _applied(options.latency, latency)
     table = pd.concat(
@@ -292,7 +292,7 @@ def make_setup(
         raise UsageError(f'--against {options.against}: is --perception itself; name another')
     return Setup(
         place=place, track=track, rig=rig, networks=networks,
-        image=the_topic(recording, options.image, IMAGES, '--image'),
+        image=recording.topic(options.image, IMAGES, '--image'),
         source=resolved_source(options.source, recording, scenario is not None),
     )
 
@@ -326,12 +326,6 @@ def _bag_notes(frames: Frames, table: pd.DataFrame, setup: Setup) -> Iterator[st
     own = table[table['bag'] == str(frames.recording.path)]
     notes = [*frames.truth.notes, *time_notes(frames, setup.image), *place_notes(own, setup)]
     notes += frames.notes + ([frames.recording.note] if frames.recording.note else [])
-    if len(frames.cameras) > 1:
-        listed = ', '.join(f'{one or "no name"} ({count})' for one, count in
-                           frames.cameras.most_common(4))
-        notes.append(f'{setup.image}: pictures of two cameras on one topic: {listed}')
-    notes += [f'{setup.image}: {count} pictures: {why}' for why, count in
-              frames.unread.most_common(3)]
     notes += [f'{setup.source.topic}: {count} samples left out: {why}' for why, count in
               frames.truth.left_out.items() if count]
     if frames.truth.spread_m > 0.25:
@@ -369,9 +363,9 @@ def stretches(table: pd.DataFrame) -> NDArray[np.int64]:
 def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
     """Errors of all scored frames and by what they show; and how many count as one."""
     kept = table[table['status'] == SCORED].reset_index(drop=True)
-    ends = ['', '_2'][:networks]
     absolute = {
-        name: np.stack([kept[f'{column}{end}'].abs().to_numpy(np.float64) for end in ends])
+        name: np.stack([kept[f'{column}{end}'].abs().to_numpy(np.float64)
+                        for end in ENDS[:networks]])
         for name, (_, _, column) in QUANTITIES.items()
     }
     groups = stretches(kept)

@@ -22,7 +22,14 @@ from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, runway_frame
 from taxinet_ros.core.types import NS_PER_S, yaw_of
 from taxinet_ros.errors import UsageError
-from taxinet_ros.recordings.reader import FIX, HEADINGS, TRANSFORMS, Recording, stamp_of
+from taxinet_ros.recordings.reader import (
+    FIX,
+    HEADINGS,
+    TRANSFORMS,
+    TRUTHS,
+    Recording,
+    stamp_of,
+)
 
 Floats = NDArray[np.float64]
 RUNWAY = 'runway'
@@ -207,12 +214,10 @@ class TruthReader:
             UsageError: a topic is missing or of another type, or the frame of poses is unknown.
         """
         self.source, self._runway = source, runway
-        self._kind = _kind(recording, source.topic_name)
-        heading = source.heading if source.heading not in ('', TRACK) else ''
-        if heading and _kind(recording, heading, 'heading') not in HEADINGS:
-            raise UsageError(
-                f'{recording.path}: --heading {heading} is a {recording.types[heading]}; expected '
-                f'one of {", ".join(HEADINGS)}, or track')
+        self._kind = recording.types[recording.topic(source.topic, TRUTHS, '--truth')]
+        heading = '' if source.heading == TRACK else source.heading
+        if heading:
+            recording.topic(heading, HEADINGS, '--heading')
         self._heading_topic = heading
         self.topics = {source.topic_name, *filter(None, (heading,))}
         if self._kind == TRANSFORMS:
@@ -409,13 +414,6 @@ def origin_of(frame: str) -> tuple[float, float]:
             f'--frame {frame!r:.60}: expected runway, or LAT,LON [deg] of the origin of an '
             'east-north-up frame')
     return latitude, longitude
-
-
-def _kind(recording: Recording, topic: str, option: str = 'truth') -> str:
-    if topic not in recording.types:
-        known = ', '.join(sorted(recording.types))
-        raise UsageError(f'{recording.path}: --{option} {topic}: no such topic; it has {known}')
-    return recording.types[topic]
 
 
 def _pose(message: Any) -> Any:
