@@ -59,7 +59,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'assure judge': (
         'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
     ),
-    'assure show': ('taxinet assure show bags/found/RUN --monitor original',),
     'live-monitor': ('taxinet live-monitor --ros-args --params-file monitor.yaml',),
     'evidence write': (
         'taxinet evidence write bags/found --requirement requirement.txt --out bags/evidence',

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.assurance.checks import Kinematics
 from taxinet_ros.core.assurance.monitor import CalibratedMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import alarm_of
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
 from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, signal_names
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.place.catalogue import typed_place
@@ -26,6 +26,7 @@ from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS, DEFAULT_AIRCRAFT
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
+from taxinet_ros.core.topics import COMMAND as COMMAND_TOPIC
 from taxinet_ros.core.trace import trace_signals
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import COMMAND
@@ -50,7 +51,7 @@ from taxinet_ros.recordings.frames import (
     shown_pictures,
     time_notes,
 )
-from taxinet_ros.recordings.reader import IMAGES, Recording, picture
+from taxinet_ros.recordings.reader import IMAGES, Recording, picture, stamp_of
 from taxinet_ros.recordings.statistics import (
     Latency,
     Mean,
@@ -544,21 +545,38 @@ def _watch(found: Score, word: str) -> dict[str, Any]:
     steps = np.rint(stamps / CONTROL_PERIOD_NS)
     off = (stamps - steps * CONTROL_PERIOD_NS).abs()
     rows = sorted(off.groupby([table['bag'][found.scored], steps]).idxmin().tolist())
-    reasons, first_s, bag = Counter[str](), math.nan, ''
+    reasons, first_s, largest = Counter[str](), math.nan, dict[str, float]()
+    bag, own = '', dict[int, TaxiCommand]()
     for row, pixels in row_pictures(found, rows):
         at: Any = table.loc[row]
         if at['bag'] != bag:
+            bag, own = at['bag'], _own_commands(found, at['bag'])
             monitor.begin(scenario)
-            bag = at['bag']
         estimate = NO_ESTIMATE if math.isnan(at['est_cte_m']) else TrackingError(
             cte_m=at['est_cte_m'], he_rad=math.radians(at['est_heading_error_deg']))
-        alarm = alarm_of(monitor.scores(Seen(
-            image=pixels, estimate=estimate, command=_command(at, kinematics))), row)
+        command = own.get(at['stamp_ns'] - CONTROL_PERIOD_NS, rolling_on(
+            scenario.speed_mps)) if own else _command(at, kinematics)
+        scores = monitor.scores(Seen(image=pixels, estimate=estimate, command=command))
+        largest |= {name: max(score, largest.get(name, score)) for name, score in scores.items()}
+        alarm = alarm_of(scores, row)
         if alarm is not None:
             reasons[alarm.reason] += 1
             first_s = first_s if math.isfinite(first_s) else float(at['t_s'])
-    return {'monitor': word, 'frames': len(rows), 'alarms': reasons.total(),
-            'reasons': dict(reasons), 'first_s': first_s}
+    return {'monitor': word, 'frames': len(rows), 'alarms': reasons.total(), 'largest': largest,
+            'reasons': dict(reasons), 'first_s': first_s, 'derived': not own}
+
+
+def _own_commands(found: Score, bag: str) -> dict[int, TaxiCommand]:
+    """Commands of a run of ours by their stamps; none of other recordings."""
+    if found.scenario is None:
+        return {}
+    [recording] = [one.recording for one in found.bags if str(one.recording.path) == bag]
+    topics = [name for name in recording.types if name.endswith(f'/{COMMAND_TOPIC.name}')]
+    return {
+        stamp_of(message): TaxiCommand(
+            steering_rad=message.steering_angle, speed_mps=message.speed)
+        for _, _, message in recording.decoded(topics)
+    }
 
 
 def _command(row: Any, kinematics: Kinematics | None) -> TaxiCommand:
