@@ -31,6 +31,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.reader import (
     CAMERA_INFO,
     FIX,
+    HEADINGS,
     IMAGES,
     SCENARIO,
     TRUTHS,
@@ -411,14 +412,13 @@ def _info_notes(topic: str, message: Any, rig: Rig | None) -> Iterator[str]:
             f'{cy:.1f}; camera {camera.name} has other values: calibrate --camera to the bag')
 
 
-def proposals(path: Path) -> list[tuple[str, str, int, str]]:
-    """Topic, type, number of messages and option of all topics of a bag that can be used."""
+def proposals(path: Path) -> list[dict[str, Any]]:
+    """Topic, type, number of messages and use of all topics of a bag, the most frequent first."""
     recording = Recording(path)
-    options = dict.fromkeys(IMAGES, '--image') | dict.fromkeys(TRUTHS, '--truth')
-    options |= {'sensor_msgs/msg/Imu': '--heading', CAMERA_INFO: 'checks --camera'}
-    options |= dict.fromkeys(('nav_msgs/msg/Odometry', 'geometry_msgs/msg/PoseStamped'),
-                             '--truth, --heading')
+    uses = {'--image': IMAGES, '--truth': TRUTHS, '--heading': HEADINGS,
+            'checks --camera': (CAMERA_INFO,)}
     return [
-        (name, recording.types[name], count, options.get(recording.types[name], ''))
-        for name, count in recording.counts.most_common()
+        {'topic': name, 'type': kind, 'messages': count,
+         'use': ', '.join(use for use, types in uses.items() if kind in types)}
+        for name, count in recording.counts.most_common() for kind in (recording.types[name],)
     ]

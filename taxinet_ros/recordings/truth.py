@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import pymap3d
 from numpy.typing import NDArray
 
@@ -456,27 +457,12 @@ def _motion(stamps_ns: NDArray[np.int64], x: Floats, y: Floats, yaw: Floats) -> 
     """Direction of motion, speed and turn rate, by straight lines through a window of time."""
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
     # At least one sample on each side, however slow the source is.
-    window = max(_WINDOW_S, 1.01 * float(np.median(np.diff(t))))
-    first = np.searchsorted(t, t - window - 1e-9)
-    last = np.searchsorted(t, t + window + 1e-9)
-
-    def sums(values: Floats) -> Floats:
-        whole = np.concatenate([[0.0], np.cumsum(values)])
-        return whole[last] - whole[first]
-
-    count = (last - first).astype(np.float64)
-    mean = sums(t) / count
-    spread = sums(t * t) / count - mean * mean
-
-    def slope(values: Floats) -> Floats:
-        start = values - values[0]
-        with np.errstate(divide='ignore', invalid='ignore'):
-            found: Floats = (sums(t * start) / count - mean * sums(start) / count) / spread
-        return np.where(spread > 1e-9, found, np.nan)
-
-    dx, dy = slope(x), slope(y)
-    known = np.isfinite(yaw)
-    turned = np.interp(t, t[known], np.unwrap(yaw[known])) if known.any() else np.zeros(len(t))
-    course = np.arctan2(dy, dx)
-    speed = np.hypot(dx, dy)
-    return Poses(x, y, course, speed, np.where(known, slope(turned), np.nan))
+    window_s = max(_WINDOW_S, 1.01 * float(np.median(np.diff(t))))
+    values = pd.DataFrame(
+        {'t': t, 'x': x - x[0], 'y': y - y[0], 'yaw': unwrapped(yaw)},
+        index=pd.to_datetime(stamps_ns))
+    near = values.rolling(pd.Timedelta(seconds=2 * window_s), center=True, closed='both')
+    slopes = near.cov(values['t']).div(near['t'].var(), axis=0)
+    dx, dy, turn = (slopes[name].to_numpy() for name in ('x', 'y', 'yaw'))
+    turn = np.where(np.isfinite(yaw), turn, np.nan)
+    return Poses(x, y, np.arctan2(dy, dx), np.hypot(dx, dy), turn)
