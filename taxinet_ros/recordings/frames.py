@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.camera.light import sun_position
 from taxinet_ros.core.perception.network import usual_frame
-from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
@@ -49,6 +49,7 @@ from taxinet_ros.recordings.truth import (
     find_leap,
     in_order,
 )
+from taxinet_ros.training.evaluation import image_perception
 
 SCORED, NO_TRUTH, STANDING = 'scored', 'no truth', 'standing still'
 NO_HEADING, OFF_PLACE = 'no heading', 'off the place'
@@ -214,9 +215,7 @@ def prepared(networks: Sequence[str], rig: Rig | None) -> list[Perception]:
     """
     perceptions = []
     for word in networks:
-        one = make_perception(word)
-        if not one.needs_image:
-            raise UsageError(f'--perception {word}: uses no camera image; name a network')
+        one = image_perception(word)
         if rig is None and getattr(one, 'view', None) is not None:
             raise UsageError(
                 f'--perception {word}: sees through a virtual camera, for which the real one has '

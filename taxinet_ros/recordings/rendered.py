@@ -15,7 +15,7 @@ from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.core.types import NS_PER_S, AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import dated, estimates_of, local_time, prepared
-from taxinet_ros.recordings.score import Picture, Score, cell, row_pictures, sliced, spread
+from taxinet_ros.recordings.score import Picture, Score, row_pictures, sliced, spread
 
 MOST_FRAMES = 300
 _PAIRS = 4
@@ -67,26 +67,22 @@ def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
     Raises:
         UsageError: a value is invalid, or the camera is unknown.
     """
-    setup, first = found.setup, int(np.flatnonzero(found.scored)[0])
+    setup, at = found.setup, found.table[found.scored].iloc[0].to_dict()
     if setup.rig is None:
         raise UsageError('--simulate: needs to know the camera; describe it with --camera FILE')
     own = found.scenario
     line, kept = setup.track, {} if own is None else own.to_human()
-    low, high = setup.rig.aircraft.taxi_speed_mps
     values: dict[str, Any] = {
         'place': setup.place.text, 'track': line.name, 'camera': setup.rig.camera.text,
-        'aircraft': setup.rig.aircraft.text, **{
-            name: float(np.clip(cell(found.table, first, column), -most, most)) for
-            name, column, most in (
-                ('cross_track_m', 'cte_m', line.farthest_start_m),
-                ('heading_deg', 'heading_error_deg', 89.0))
-        },
-        'distance_m': float(np.clip(cell(found.table, first, 'distance_m'), 0, line.last_start_m)),
-        'speed_mps': float(np.clip(cell(found.table, first, 'speed_mps'), low, high)),
+        'aircraft': setup.rig.aircraft.text, **{name: float(np.clip(at[column], least, most)) for
+            name, column, least, most in (
+                ('cross_track_m', 'cte_m', -line.farthest_start_m, line.farthest_start_m),
+                ('heading_deg', 'heading_error_deg', -89, 89),
+                ('distance_m', 'distance_m', 0, line.last_start_m),
+                ('speed_mps', 'speed_mps', *setup.rig.aircraft.taxi_speed_mps))},
     }
-    stamp_ns = int(cell(found.table, first, 'stamp_ns'))
-    if own is None and dated(np.array([stamp_ns])):
-        values['date'], time_s = local_time(stamp_ns, setup.place.runway)
+    if own is None and dated(np.array([at['stamp_ns']])):
+        values['date'], time_s = local_time(int(at['stamp_ns']), setup.place.runway)
         values['time_of_day_h'] = time_s / 3600
     offsets = {key: 0.0 for key in kept if key.startswith('camera_d')}
     return scenario_from_human({**kept, **offsets, **values, **settings})
@@ -106,16 +102,15 @@ def render_beside(found: Score, scenario: Scenario) -> None:
     [perception] = prepared(found.setup.networks[:1], found.setup.rig)
     settled = measured_model(scenario.aircraft_model).settled
     assert settled is not None
-    camera, shown = Camera(scenario), dict[int, Picture]()
+    camera, shown, times = Camera(scenario), dict[int, Picture](), table['t_s'].tolist()
     seen = np.full((len(table), 2), np.nan)
     chosen = rows[::max(1, len(rows) // _PAIRS)][:_PAIRS]
     for row in rows:
-        state = AircraftState(
-            z_m=settled.z_m, roll_rad=settled.roll_rad, pitch_rad=settled.pitch_rad, **{
-                name: float(cell(table, row, name))
-                for name in ('x_m', 'y_m', 'yaw_rad', 'speed_mps', 'yaw_rate_radps')
-            })
-        pixels = camera.render(state, round(float(cell(table, row, 't_s')) * NS_PER_S))
+        pose: Any = table.loc[
+            row, ['x_m', 'y_m', 'yaw_rad', 'speed_mps', 'yaw_rate_radps']].to_dict()
+        state = AircraftState(**pose, z_m=settled.z_m, roll_rad=settled.roll_rad,
+                              pitch_rad=settled.pitch_rad)
+        pixels = camera.render(state, round(times[row] * NS_PER_S))
         seen[row] = tuple(estimates_of(pixels, [perception], found.setup.rig))
         if row in chosen:
             shown[row] = pixels

@@ -409,11 +409,6 @@ def _masks(kept: pd.DataFrame) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
                 yield kind, f'{low:g} to {high:g} {unit}', mask
 
 
-def cell(table: pd.DataFrame, row: int, column: str) -> Any:
-    """Value of a row and column of the table of frames."""
-    return table[column].to_numpy()[row]
-
-
 def worst_rows(table: pd.DataFrame) -> list[int]:
     """Rows of the largest errors of the first network, a second apart or more."""
     kept = table[table['status'] == SCORED]
@@ -421,11 +416,12 @@ def worst_rows(table: pd.DataFrame) -> list[int]:
         (kept[column].abs() / max(float(kept[column].abs().mean()), 1e-9)
          for _, _, column in QUANTITIES.values()), start=pd.Series(0.0, index=kept.index))
     found: list[int] = []
-    for row in size.dropna().sort_values(ascending=False, kind='stable').index:
-        stamp, bag = cell(table, row, 'stamp_ns'), cell(table, row, 'bag')
-        if all(cell(table, other, 'bag') != bag or abs(cell(table, other, 'stamp_ns') - stamp)
-               >= _WORST_APART_S * NS_PER_S for other in found):
-            found.append(int(row))
+    at = table[['bag', 'stamp_ns']].to_dict('index')
+    for row in size.dropna().sort_values(ascending=False, kind='stable').index.tolist():
+        if all(at[other]['bag'] != at[row]['bag'] or abs(
+                at[other]['stamp_ns'] - at[row]['stamp_ns']) >= _WORST_APART_S * NS_PER_S
+                for other in found):
+            found.append(row)
         if len(found) == WORST:
             break
     return found
@@ -499,11 +495,11 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     if isinstance(perceptions[0], NodeAnswers):
         return f'{begun}: mirrored pictures, or the signs of the truth; left is positive'
     errors: list[tuple[float, float]] = []
+    true_m = found.table['cte_m'].tolist()
     for row, pixels in row_pictures(found, spread(found, _FLIPPED)):
-        truth = float(cell(found.table, row, 'cte_m'))
         seen = [next(estimates_of(one, perceptions, found.setup.rig))
                 for one in (pixels, np.ascontiguousarray(pixels[:, ::-1]))]
-        errors.append((abs(seen[0] - truth), abs(seen[1] - truth)))
+        errors.append((abs(seen[0] - true_m[row]), abs(seen[1] - true_m[row])))
     kept, flipped = np.nanmean(np.array(errors), axis=0) if errors else (math.nan, math.nan)
     if flipped < 0.6 * kept:
         return (f'{begun}, and in pictures turned left to right the cross-track error is '
