@@ -146,11 +146,11 @@ def open_folder(path: Path) -> ImageFolder:
 
 
 def _frame(folder: Path, row: Mapping[str, object], where: str) -> LabelledFrame:
-    row = {'distance_m': 0.0, 'sha256': '', **row}
-    for column in (*COLUMNS, 'distance_m'):
+    for column in COLUMNS:
         if column not in row:
             given = ', '.join(str(name) for name in row if name is not None)
             raise UsageError(f'{where}: no column {column}; there are {given}; add or rename one')
+    row = {'distance_m': 0.0, 'sha256': '', **row}
     heading_deg = _number(row, 'heading_error_deg', where)
     if abs(heading_deg) > 180:
         raise UsageError(
