@@ -113,7 +113,7 @@ def wrong_digest(folder: Path) -> None:
 
 
 def sixteen_bits(folder: Path) -> None:
-    cv2.imwrite(str(folder / 'photo_0.png'), coloured_frame(0).astype(np.uint16) * 257)
+    cv2.imwrite(str(folder / 'photo_0.png'), coloured_frame(0)[..., 0].astype(np.uint16) * 257)
 
 
 def link_outside(folder: Path) -> None:
