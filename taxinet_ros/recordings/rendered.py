@@ -72,14 +72,16 @@ def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
         raise UsageError('--simulate: needs to know the camera; describe it with --camera FILE')
     own = found.scenario
     line, kept = setup.track, {} if own is None else own.to_human()
+    limits = (
+        ('cross_track_m', 'cte_m', -line.farthest_start_m, line.farthest_start_m),
+        ('heading_deg', 'heading_error_deg', -89.0, 89.0),
+        ('distance_m', 'distance_m', 0.0, line.last_start_m),
+        ('speed_mps', 'speed_mps', *setup.rig.aircraft.taxi_speed_mps),
+    )
     values: dict[str, Any] = {
         'place': setup.place.text, 'track': line.name, 'camera': setup.rig.camera.text,
-        'aircraft': setup.rig.aircraft.text, **{name: float(np.clip(at[column], least, most)) for
-            name, column, least, most in (
-                ('cross_track_m', 'cte_m', -line.farthest_start_m, line.farthest_start_m),
-                ('heading_deg', 'heading_error_deg', -89, 89),
-                ('distance_m', 'distance_m', 0, line.last_start_m),
-                ('speed_mps', 'speed_mps', *setup.rig.aircraft.taxi_speed_mps))},
+        'aircraft': setup.rig.aircraft.text, **{
+            name: float(np.clip(at[column], low, high)) for name, column, low, high in limits},
     }
     if own is None and dated(np.array([at['stamp_ns']])):
         values['date'], time_s = local_time(int(at['stamp_ns']), setup.place.runway)
