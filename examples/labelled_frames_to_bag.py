@@ -15,9 +15,9 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.place.runway_frame import MapPose, runway_frame
+from taxinet_ros.training.data.image_folder import open_folder
 
 SPEED_MPS, PAUSE_S = 5.0, 20.0
 BEGUN_S = 1_584_723_840.0  # 20 March 2020, 9:04 at Grant County: the light of the published frames
@@ -48,7 +48,7 @@ def messages(shot, stamp_ns):
     pose = frame.to_geodetic(MapPose(
         x_m=shot.distance_m + given.distance_offset, y_m=shot.truth.cte_m, z_m=0.0,
         yaw_rad=shot.truth.he_rad))
-    pixels = shot.picture()
+    pixels, _ = shot.picture()
     yield '/camera/image_raw', IMAGE, make(
         IMAGE, header=header(stamp_ns, 'camera'), height=pixels.shape[0], width=pixels.shape[1],
         encoding='rgb8', is_bigendian=0, step=3 * pixels.shape[1], data=pixels.reshape(-1))
@@ -69,7 +69,7 @@ def messages(shot, stamp_ns):
 
 with Writer(given.out, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
     topics, time_s, before_m = {}, BEGUN_S, None
-    for shot in read_labelled_frames(given.folder):
+    for shot in open_folder(given.folder).frames:
         if before_m is not None:
             moved_m = shot.distance_m - before_m
             time_s += max(moved_m / SPEED_MPS, 0.01) if moved_m > -1 else PAUSE_S

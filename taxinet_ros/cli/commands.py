@@ -134,7 +134,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     'Worlds and cameras': {
         'camera': (
             'training.camera:camera_app',
-            'Render camera frames, and compare them with labelled images.',
+            'Describe cameras, and render their frames.',
         ),
         'place': ('run.place:place', 'Describe a place, and draw it from above, or list all.'),
         'aircraft': (

@@ -59,7 +59,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'assure judge': (
         'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
     ),
-    'assure show': ('taxinet assure show bags/found/RUN --monitor original',),
     'live-monitor': ('taxinet live-monitor --ros-args --params-file monitor.yaml',),
     'evidence write': (
         'taxinet evidence write bags/found --requirement requirement.txt --out bags/evidence',
@@ -96,7 +95,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'camera show': ('taxinet camera show', 'taxinet camera show wing'),
     'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
     'camera sheet': ('taxinet camera sheet',),
-    'camera compare': ('taxinet camera compare frames --json',),
     'place': ('taxinet place', 'taxinet place kmwh_04'),
     'aircraft': ('taxinet aircraft', 'taxinet aircraft caravan'),
     'flightgear start': ('taxinet flightgear start --at BIKF',),

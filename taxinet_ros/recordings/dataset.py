@@ -6,9 +6,7 @@ the validation set whose neighbour was trained on says nothing.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 from pathlib import Path
 
 import cv2
@@ -16,25 +14,21 @@ import numpy as np
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.recordings.score import Score, cell, row_pictures
+from taxinet_ros.recordings.score import Score, row_pictures
 from taxinet_ros.training.data.dataset_folder import IMAGES
 from taxinet_ros.training.data.image_folder import FOREIGN_LABELS
 
-APART_M, APART_DEG = 1.0, 2.0
-"""Frames nearer than this to the last one that was taken, and turned by less, are left out."""
-_COLUMNS = 'image', 'cte_m', 'heading_error_deg', 'distance_m', 'sha256'
+_POSE = ['cte_m', 'heading_error_deg', 'distance_m']
+_APART = 1.0, 2.0, 1.0
+"""Frames nearer than this [m], [degrees], [m] to the last one that was taken are left out."""
 
 
 def thinned(found: Score, bag: str) -> list[int]:
     """Rows of a bag's scored frames that are far enough apart."""
+    poses = found.table.loc[found.scored & (found.table['bag'] == bag), _POSE]
     rows: list[int] = []
-    table = found.table
-    for row in np.flatnonzero(found.scored & (table['bag'] == bag).to_numpy(np.bool_)).tolist():
-        if not rows or any(
-            abs(cell(table, row, name) - cell(table, rows[-1], name)) >= least
-            for name, least in (
-                ('distance_m', APART_M), ('cte_m', APART_M), ('heading_error_deg', APART_DEG))
-        ):
+    for row, pose in zip(poses.index.tolist(), poses.to_numpy(), strict=True):
+        if not rows or (np.abs(pose - poses.loc[rows[-1]].to_numpy()) >= _APART).any():
             rows.append(row)
     return rows
 
@@ -55,17 +49,14 @@ def write_datasets(found: Score, out: Path) -> dict[str, int]:
     counts = {}
     for folder, bag in bags.items():
         make_folder(folder / IMAGES)
-        text = io.StringIO()
-        labels = csv.writer(text, lineterminator='\n')
-        labels.writerow(_COLUMNS)
-        rows = thinned(found, bag)
-        for number, (row, pixels) in enumerate(row_pictures(found, rows)):
-            name = f'{IMAGES}/{number:06d}.png'
+        rows, names, digests = thinned(found, bag), [], []
+        for number, (_, pixels) in enumerate(row_pictures(found, rows)):
+            names.append(f'{IMAGES}/{number:06d}.png')
             data = cv2.imencode('.png', cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))[1].tobytes()
-            write_atomically(folder / name, data, sync=False)
-            labels.writerow((
-                name, *(repr(float(cell(found.table, row, one))) for one in _COLUMNS[1:4]),
-                hashlib.sha256(data).hexdigest()))
-        write_atomically(folder / FOREIGN_LABELS, text.getvalue())
+            write_atomically(folder / names[-1], data, sync=False)
+            digests.append(hashlib.sha256(data).hexdigest())
+        labels = found.table.loc[rows, _POSE].assign(sha256=digests)
+        labels.insert(0, 'image', names)
+        write_atomically(folder / FOREIGN_LABELS, labels.to_csv(index=False, lineterminator='\n'))
         counts[str(folder)] = len(rows)
     return counts

@@ -7,7 +7,7 @@ import datetime
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.camera.light import sun_position
 from taxinet_ros.core.perception.network import usual_frame
-from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import Track
@@ -31,6 +31,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.reader import (
     CAMERA_INFO,
     FIX,
+    HEADINGS,
     IMAGES,
     SCENARIO,
     TRUTHS,
@@ -48,6 +49,7 @@ from taxinet_ros.recordings.truth import (
     find_leap,
     in_order,
 )
+from taxinet_ros.training.evaluation import image_perception
 
 SCORED, NO_TRUTH, STANDING = 'scored', 'no truth', 'standing still'
 NO_HEADING, OFF_PLACE = 'no heading', 'off the place'
@@ -66,6 +68,8 @@ _BRIGHTNESS_EVERY = 8
 _SLACK_PX = 1.0
 _FOCAL_SHARE = 0.02
 
+ENDS = '', '_2'
+"""What the columns of the first and of the second network end in."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -90,35 +94,32 @@ class Setup:
     rig: Rig | None = None
 
 
-@dataclass(kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Frames:
     """Frames of one bag.
 
     Attributes:
         recording: the bag.
-        stamps_ns, logged_ns: when each was taken, and recorded.
-        estimates: (networks, frames, 2) [m], [rad]; NaN where there is none.
-        brightness: mean grey level, NaN without a picture.
+        seen: a row a frame: when it was taken and recorded, its mean grey level, NaN without a
+            picture, and the networks' estimates [m], [rad], NaN where there is none.
         truth: of the bag.
-        unread: reasons for pictures that cannot be read, with their number.
-        cameras: frame ids of the pictures, with their number.
         notes: likely mistakes.
     """
 
     recording: Recording
-    stamps_ns: NDArray[np.int64]
-    logged_ns: NDArray[np.int64]
-    estimates: NDArray[np.float64]
-    brightness: NDArray[np.float64]
+    seen: pd.DataFrame
     truth: Truth
-    unread: Counter[str] = field(default_factory=Counter)
-    cameras: Counter[str] = field(default_factory=Counter)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str]
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """When each was taken."""
+        return self.seen['stamp_ns'].to_numpy(np.int64)
 
     @cached_property
     def leap(self) -> Leap:
         """Leap of the clock of the pictures."""
-        return find_leap('pictures', self.stamps_ns.tolist(), self.logged_ns.tolist())
+        return find_leap('pictures', self.stamps_ns.tolist(), self.seen['logged_ns'].tolist())
 
 
 def own_scenario(recording: Recording) -> Scenario | None:
@@ -127,30 +128,6 @@ def own_scenario(recording: Recording) -> Scenario | None:
     for _, _, message in recording.decoded(topics[:1]) if topics else ():
         return scenario_of(message)
     return None
-
-
-def the_topic(recording: Recording, given: str, types: Sequence[str], option: str) -> str:
-    """The topic that is given, or the only one of these types.
-
-    Raises:
-        UsageError: there is none, or several to choose from.
-    """
-    found = recording.of_type(types)
-    if given and given.partition(':')[0] in found:
-        return given
-    listed = ', '.join(f'{name} ({recording.counts[name]})' for name in found)
-    if given:
-        there = recording.types.get(given.partition(':')[0])
-        what = f'is a {there}' if there else 'is not in it'
-        raise UsageError(
-            f'{recording.path}: {option} {given} {what}; '
-            + (f'what fits: {listed}' if found else f'it has none of {", ".join(types)}'))
-    if len(found) == 1:
-        return found[0]
-    if not found:
-        raise UsageError(f'{recording.path}: no topic for {option}: none of {", ".join(types)}')
-    what = 'two cameras, or the same twice' if option == '--image' else 'several'
-    raise UsageError(f'{recording.path}: {what}: {listed}; choose with {option}')
 
 
 def resolved_source(source: TruthSource, recording: Recording, own: bool) -> TruthSource:
@@ -167,9 +144,8 @@ def resolved_source(source: TruthSource, recording: Recording, own: bool) -> Tru
     if not source.topic and own:
         odometry = [name for name in recording.types if name.endswith(ODOMETRY.name)]
         source = replace(source, topic=odometry[0] if len(odometry) == 1 else '')
-    topic = the_topic(recording, source.topic, TRUTHS, '--truth')
-    source = replace(source, topic=topic)
-    kind = recording.types[source.topic_name]
+    topic = recording.topic(source.topic, TRUTHS, '--truth')
+    source, kind = replace(source, topic=source.topic or topic), recording.types[topic]
     if kind == FIX:
         if source.frame:
             raise UsageError(f'--frame: {topic} has latitude and longitude; leave it out')
@@ -194,40 +170,40 @@ def read_frames(
         UsageError: there is no truth, or the pictures do not fit the camera.
     """
     reader = TruthReader(setup.source, recording, setup.place.runway)
+    recording.topic(setup.image, IMAGES, '--image')
     infos = set(recording.of_type((CAMERA_INFO,)))
-    rows: list[tuple[int, int, float, tuple[float, ...]]] = []
-    unread, cameras, notes = Counter[str](), Counter[str](), list[str]()
-    total = recording.counts[setup.image]
+    unread, cameras, notes = Counter[str](), Counter[str](), dict[str, None]()
+    rows: list[tuple[float, ...]] = []
+    every = slice(None, None, _BRIGHTNESS_EVERY)
     for topic, log_ns, message in recording.decoded({setup.image, *reader.topics, *infos}):
         if topic in reader.topics:
             reader.add(topic, log_ns, message)
         elif topic in infos:
-            note = _info_note(topic, message, setup.rig)
-            if note and note not in notes:
-                notes.append(note)
+            notes |= dict.fromkeys(_info_notes(topic, message, setup.rig))
         else:
-            stamp_ns = log_ns if setup.source.by_log else stamp_of(message)
             cameras[message.header.frame_id] += 1
-            nothing = (math.nan,) * (2 * len(perceptions))
+            stamp_ns = log_ns if setup.source.by_log else stamp_of(message)
+            bright, estimates = math.nan, [math.nan] * (2 * len(perceptions))
             try:
                 pixels = picture(message)
             except ValueError as error:
-                unread[str(error)] += 1
-                rows.append((stamp_ns, log_ns, math.nan, nothing))
-                continue
-            every = slice(None, None, _BRIGHTNESS_EVERY)
-            rows.append((
-                stamp_ns, log_ns, float(pixels[every, every].mean()),
-                tuple(estimates_of(pixels, perceptions, setup.rig)),
-            ))
-            progress('frames', len(rows), total)
-    columns = list(zip(*rows, strict=True)) or [(), (), (), ()]
-    estimates = np.array(columns[3], np.float64).reshape(len(rows), len(perceptions), 2)
+                unread[f'{setup.image}: {{}} pictures: {error}'] += 1
+            else:
+                bright = float(pixels[every, every].mean())
+                estimates = list(estimates_of(pixels, perceptions, setup.rig))
+            rows.append((stamp_ns, log_ns, bright, *estimates))
+            progress('frames', len(rows), recording.counts[setup.image])
+    if len(cameras) > 1:
+        listed = ', '.join(
+            f'{one or "no name"} ({count})' for one, count in cameras.most_common(4))
+        notes[f'{setup.image}: pictures of two cameras on one topic: {listed}'] = None
+    columns = [f'{name}{end}' for end in ENDS[:len(perceptions)]
+               for name in ('est_cte_m', 'est_he_rad')]
+    seen = pd.DataFrame(rows, columns=['stamp_ns', 'logged_ns', 'brightness', *columns])
     return Frames(
-        recording=recording, stamps_ns=np.array(columns[0], np.int64),
-        logged_ns=np.array(columns[1], np.int64), brightness=np.array(columns[2], np.float64),
-        estimates=estimates.transpose(1, 0, 2), truth=reader.finish(), unread=unread,
-        cameras=cameras, notes=notes,
+        recording=recording, seen=seen.astype({'stamp_ns': np.int64, 'logged_ns': np.int64}),
+        truth=reader.finish(),
+        notes=[*notes, *(note.format(count) for note, count in unread.most_common(3))],
     )
 
 
@@ -239,9 +215,7 @@ def prepared(networks: Sequence[str], rig: Rig | None) -> list[Perception]:
     """
     perceptions = []
     for word in networks:
-        one = make_perception(word)
-        if not one.needs_image:
-            raise UsageError(f'--perception {word}: uses no camera image; name a network')
+        one = image_perception(word)
         if rig is None and getattr(one, 'view', None) is not None:
             raise UsageError(
                 f'--perception {word}: sees through a virtual camera, for which the real one has '
@@ -305,20 +279,6 @@ class NodeAnswers(Perception):
         return next(self._answers, NO_ESTIMATE)
 
 
-def pictures_of(
-    frames: Frames, image: str, numbers: Sequence[int]
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Number and pixels of some frames, by another pass through the bag."""
-    wanted = frozenset(numbers)
-    if not wanted:
-        return
-    for number, (_, _, message) in enumerate(frames.recording.decoded((image,))):
-        if number in wanted:
-            yield number, picture(message)
-        if number >= max(wanted):
-            return
-
-
 def frame_table(frames: Frames, setup: Setup, latency_s: float = 0.0) -> pd.DataFrame:
     """One row a frame: truth at the time of its stamp less the latency, estimates and errors."""
     stamps = frames.stamps_ns
@@ -328,22 +288,23 @@ def frame_table(frames: Frames, setup: Setup, latency_s: float = 0.0) -> pd.Data
             *(column.tolist() for column in poses[:3]), strict=True)
     ], np.float64).reshape(-1, 3)
     heading = np.remainder(measured[:, 2] + math.pi, math.tau) - math.pi
+    seen = frames.seen
     table = pd.DataFrame({
         'bag': str(frames.recording.path), 'number': np.arange(len(stamps)),
         't_s': (stamps - (stamps[0] if len(stamps) else 0)) / NS_PER_S,
-        'stamp_ns': stamps, 'logged_ns': frames.logged_ns,
+        'stamp_ns': stamps, 'logged_ns': seen['logged_ns'],
         'status': _statuses(frames, setup, measured, poses.speed_mps),
         'x_m': poses.x_m, 'y_m': poses.y_m, 'yaw_rad': poses.yaw_rad, 'distance_m': measured[:, 0],
         'speed_mps': poses.speed_mps, 'yaw_rate_radps': poses.yaw_rate_radps,
         'cte_m': measured[:, 1], 'heading_error_deg': np.degrees(heading),
-        'brightness': frames.brightness,
+        'brightness': seen['brightness'],
         'sun_elevation_deg': _sun_elevations(stamps, setup.place.runway),
     })
-    for number, (cte_m, he_rad) in enumerate(frames.estimates.transpose(0, 2, 1)):
-        end = '_2' if number else ''
-        seen_deg = np.degrees(he_rad)
-        table[f'est_cte_m{end}'], table[f'est_heading_error_deg{end}'] = cte_m, seen_deg
-        table[f'cte_error_m{end}'] = cte_m - table['cte_m']
+    for end in ENDS[:len(setup.networks)]:
+        seen_deg = np.degrees(seen[f'est_he_rad{end}'])
+        table[f'est_cte_m{end}'] = seen[f'est_cte_m{end}']
+        table[f'est_heading_error_deg{end}'] = seen_deg
+        table[f'cte_error_m{end}'] = seen[f'est_cte_m{end}'] - table['cte_m']
         table[f'heading_error_error_deg{end}'] = np.remainder(
             seen_deg - table['heading_error_deg'] + 180, 360) - 180
     return table
@@ -351,21 +312,19 @@ def frame_table(frames: Frames, setup: Setup, latency_s: float = 0.0) -> pd.Data
 
 def _statuses(
     frames: Frames, setup: Setup, measured: NDArray[np.float64], speed: NDArray[np.float64]
-) -> NDArray[np.object_]:
-    """What can be said of each frame; of several the last one below."""
+) -> NDArray[np.str_]:
+    """What can be said of each frame; of several the first one below."""
     distance, cte, heading = measured.T
     track = setup.track
     off = (np.abs(cte) > track.half_width_m + _BESIDE_M) | (distance < -_BEYOND_M) | (
         distance > track.length_m + _BEYOND_M)
-    found = np.full(len(distance), SCORED, np.object_)
-    found[speed < STANDING_MPS] = STANDING
-    found[np.isnan(heading) & (found != STANDING)] = NO_HEADING
-    found[off] = OFF_PLACE
-    found[np.isnan(cte)] = NO_TRUTH
-    found[~in_order(frames.stamps_ns)] = OUT_OF_ORDER
-    found[frames.leap.number:] = AFTER_LEAP
-    found[np.isnan(frames.brightness)] = NO_PICTURE
-    return found
+    cases = {
+        NO_PICTURE: np.isnan(frames.seen['brightness']),
+        AFTER_LEAP: np.arange(len(cte)) >= frames.leap.number,
+        OUT_OF_ORDER: ~in_order(frames.stamps_ns), NO_TRUTH: np.isnan(cte), OFF_PLACE: off,
+        STANDING: speed < STANDING_MPS, NO_HEADING: np.isnan(heading),
+    }
+    return np.select(list(cases.values()), list(cases), SCORED)
 
 
 def _sun_elevations(stamps_ns: NDArray[np.int64], runway: Runway) -> NDArray[np.float64]:
@@ -437,31 +396,28 @@ def place_notes(table: pd.DataFrame, setup: Setup) -> list[str]:
     return notes
 
 
-def _info_note(topic: str, message: Any, rig: Rig | None) -> str:
+def _info_notes(topic: str, message: Any, rig: Rig | None) -> Iterator[str]:
     """A line if the calibration in the bag is not that of the rig's camera."""
     if rig is None or not (message.k[0] > 0):
-        return ''
+        return
     camera = rig.camera
     fx, fy, cx, cy = (float(message.k[index]) for index in (0, 4, 2, 5))
     size = int(message.width), int(message.height)
     focal = np.abs(np.array([fx, fy]) / camera.focal_px - 1).max()
     centre = np.abs(np.array([cx, cy]) - camera.centre_px).max()
-    if size == (camera.width_px, camera.height_px) and focal < _FOCAL_SHARE and (
-            centre < _SLACK_PX):
-        return ''
-    return (
-        f'{topic}: {size[0]} x {size[1]}, focal lengths {fx:.1f}, {fy:.1f}, centre {cx:.1f}, '
-        f'{cy:.1f}; camera {camera.name} has other values: calibrate --camera to the bag')
+    if size != (camera.width_px, camera.height_px) or focal >= _FOCAL_SHARE or centre >= _SLACK_PX:
+        yield (
+            f'{topic}: {size[0]} x {size[1]}, focal lengths {fx:.1f}, {fy:.1f}, centre {cx:.1f}, '
+            f'{cy:.1f}; camera {camera.name} has other values: calibrate --camera to the bag')
 
 
-def proposals(path: Path) -> list[tuple[str, str, int, str]]:
-    """Topic, type, number of messages and option of all topics of a bag that can be used."""
+def proposals(path: Path) -> list[dict[str, Any]]:
+    """Topic, type, number of messages and use of all topics of a bag, the most frequent first."""
     recording = Recording(path)
-    options = dict.fromkeys(IMAGES, '--image') | dict.fromkeys(TRUTHS, '--truth')
-    options |= {'sensor_msgs/msg/Imu': '--heading', CAMERA_INFO: 'checks --camera'}
-    options |= dict.fromkeys(('nav_msgs/msg/Odometry', 'geometry_msgs/msg/PoseStamped'),
-                             '--truth, --heading')
+    uses = {'--image': IMAGES, '--truth': TRUTHS, '--heading': HEADINGS,
+            'checks --camera': (CAMERA_INFO,)}
     return [
-        (name, recording.types[name], count, options.get(recording.types[name], ''))
-        for name, count in recording.counts.most_common()
+        {'topic': name, 'type': kind, 'messages': count,
+         'use': ', '.join(use for use, types in uses.items() if kind in types)}
+        for name, count in recording.counts.most_common() for kind in (recording.types[name],)
     ]

@@ -6,11 +6,10 @@ reads up to the first damage; the others through the library ``rosbags``.
 
 from __future__ import annotations
 
-import io
 import sqlite3
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as PillowImage
 from rosbags.rosbag2 import Reader, ReaderError
 
 from taxinet_ros.bag.cdr.decode import decoder
@@ -27,6 +25,7 @@ from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncate
 from taxinet_ros.bag.reader import stored_messages
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, message_definition
+from taxinet_ros.core.perception.network import decode_picture
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
@@ -39,8 +38,6 @@ IMAGES = IMAGE, COMPRESSED
 TRUTHS = FIX, ODOMETRY, POSE, TRANSFORMS
 HEADINGS = IMU, ODOMETRY, POSE
 
-_PICTURES = ('JPEG', 'PNG', 'BMP', 'TIFF', 'WEBP')
-_MOST_PIXELS = 64_000_000
 _DAMAGE = (ReaderError, OSError, sqlite3.Error, ValueError, LookupError, zlib.error, EOFError)
 _CHANNELS = {
     'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3,
@@ -122,6 +119,27 @@ class Recording:
         """Topics with messages of some types, the most frequent first."""
         return [name for name, _ in self.counts.most_common() if self.types[name] in types]
 
+    def topic(self, given: str, types: Sequence[str], option: str) -> str:
+        """The topic that is given, without frames behind it, or the only one of some types.
+
+        Raises:
+            UsageError: there is none, or several to choose from.
+        """
+        name, found = given.partition(':')[0], self.of_type(types)
+        if name in found:
+            return name
+        listed = ', '.join(f'{one} ({self.counts[one]})' for one in found)
+        if not name and len(found) > 1:
+            what = 'two cameras, or the same twice' if option == '--image' else 'several'
+            raise UsageError(f'{self.path}: {what}: {listed}; choose with {option}')
+        if not name and found:
+            return found[0]
+        why = f'no such topic: {name} is not in it' if name else 'no topic for it'
+        if name in self.types:
+            why = f'{name} is a {self.types[name]}, expected one of {", ".join(types)}'
+        fits = f'what fits: {listed}' if found else f'it has none of {", ".join(types)}'
+        raise UsageError(f'{self.path}: {option} {given}: {why}; {fits}')
+
     def _note(self, name: str, kind: str, count: int) -> None:
         self.counts[name] += count
         self.types[name] = kind
@@ -188,10 +206,12 @@ def picture(message: Any) -> NDArray[np.uint8]:
     Raises:
         ValueError: another encoding, or the sizes do not fit; in one line.
     """
-    return _raw(message) if hasattr(message, 'encoding') else _compressed(message)
-
-
-def _raw(message: Any) -> NDArray[np.uint8]:
+    if not hasattr(message, 'encoding'):
+        try:
+            return decode_picture(bytes(message.data))
+        except ValueError as error:
+            raise ValueError(
+                f'compressed image of format {message.format!r:.40} {error}') from error
     channels = _CHANNELS.get(message.encoding)
     if channels is None:
         known = ', '.join(_CHANNELS)
@@ -207,14 +227,3 @@ def _raw(message: Any) -> NDArray[np.uint8]:
     if min(height, width) < 2:
         raise ValueError(f'image is {width} x {height}')
     return np.asarray(cv2.cvtColor(pixels, _TO_RGB[message.encoding]), np.uint8)
-
-
-def _compressed(message: Any) -> NDArray[np.uint8]:
-    try:
-        with PillowImage.open(io.BytesIO(bytes(message.data)), formats=_PICTURES) as image:
-            if image.width * image.height <= _MOST_PIXELS:
-                return np.asarray(image.convert('RGB'), np.uint8)
-            found = f'has {image.width} x {image.height} pixels'
-    except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError):
-        found = f'cannot be decoded as {"/".join(_PICTURES)}'
-    raise ValueError(f'compressed image of format {message.format!r:.40} {found}')

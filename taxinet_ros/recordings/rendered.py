@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from taxinet_ros.analysis.report.parts import Picture, Table, Theme
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
@@ -21,8 +15,7 @@ from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.core.types import NS_PER_S, AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import dated, estimates_of, local_time, prepared
-from taxinet_ros.recordings.report import slice_table
-from taxinet_ros.recordings.score import QUANTITIES, Score, Slice, cell, row_pictures, sliced
+from taxinet_ros.recordings.score import Picture, Score, row_pictures, sliced, spread
 
 MOST_FRAMES = 300
 _PAIRS = 4
@@ -74,113 +67,60 @@ def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
     Raises:
         UsageError: a value is invalid, or the camera is unknown.
     """
-    setup, first = found.setup, int(np.flatnonzero(found.scored)[0])
+    setup, at = found.setup, found.table[found.scored].iloc[0].to_dict()
     if setup.rig is None:
         raise UsageError('--simulate: needs to know the camera; describe it with --camera FILE')
     own = found.scenario
     line, kept = setup.track, {} if own is None else own.to_human()
-    low, high = setup.rig.aircraft.taxi_speed_mps
+    limits = (
+        ('cross_track_m', 'cte_m', -line.farthest_start_m, line.farthest_start_m),
+        ('heading_deg', 'heading_error_deg', -89.0, 89.0),
+        ('distance_m', 'distance_m', 0.0, line.last_start_m),
+        ('speed_mps', 'speed_mps', *setup.rig.aircraft.taxi_speed_mps),
+    )
     values: dict[str, Any] = {
         'place': setup.place.text, 'track': line.name, 'camera': setup.rig.camera.text,
         'aircraft': setup.rig.aircraft.text, **{
-            name: float(np.clip(cell(found.table, first, column), -most, most)) for
-            name, column, most in (
-                ('cross_track_m', 'cte_m', line.farthest_start_m),
-                ('heading_deg', 'heading_error_deg', 89.0))
-        },
-        'distance_m': float(np.clip(cell(found.table, first, 'distance_m'), 0, line.last_start_m)),
-        'speed_mps': float(np.clip(cell(found.table, first, 'speed_mps'), low, high)),
+            name: float(np.clip(at[column], low, high)) for name, column, low, high in limits},
     }
-    stamp_ns = int(cell(found.table, first, 'stamp_ns'))
-    if own is None and dated(np.array([stamp_ns])):
-        values['date'], time_s = local_time(stamp_ns, setup.place.runway)
+    if own is None and dated(np.array([at['stamp_ns']])):
+        values['date'], time_s = local_time(int(at['stamp_ns']), setup.place.runway)
         values['time_of_day_h'] = time_s / 3600
     offsets = {key: 0.0 for key in kept if key.startswith('camera_d')}
     return scenario_from_human({**kept, **offsets, **values, **settings})
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rendered:
-    """A network on recorded frames and on rendered ones of the same poses.
-
-    Attributes:
-        rows: of the table.
-        slices: errors on recorded and on rendered frames, as of two networks.
-        pairs: pictures by row, recorded and rendered, of some.
-    """
-
-    rows: Sequence[int]
-    slices: Sequence[Slice]
-    pairs: Mapping[int, tuple[NDArray[np.uint8], NDArray[np.uint8]]]
-
-
-def render_beside(found: Score, scenario: Scenario) -> Rendered:
+def render_beside(found: Score, scenario: Scenario) -> None:
     """Render the poses of up to :data:`MOST_FRAMES` scored frames; show them to the network.
 
-    The table of the score gets the estimates, columns ``rendered_est_…``.
+    The score gets the start, the gap and some pairs of pictures, and its table the estimates in
+    columns ``rendered_est_…``.
+
+    Args:
+        found: the score.
+        scenario: of the rendered frames.
     """
-    kept = np.flatnonzero(found.scored)
-    rows = kept[np.linspace(0, len(kept) - 1, min(MOST_FRAMES, len(kept))).astype(int)].tolist()
+    rows, table = spread(found, MOST_FRAMES), found.table
     [perception] = prepared(found.setup.networks[:1], found.setup.rig)
     settled = measured_model(scenario.aircraft_model).settled
     assert settled is not None
-    camera, table = Camera(scenario), found.table
+    camera, shown, times = Camera(scenario), dict[int, Picture](), table['t_s'].tolist()
     seen = np.full((len(table), 2), np.nan)
-    shown: dict[int, NDArray[np.uint8]] = {}
-    chosen = set(rows[::max(1, len(rows) // _PAIRS)][:_PAIRS])
+    chosen = rows[::max(1, len(rows) // _PAIRS)][:_PAIRS]
     for row in rows:
-        state = AircraftState(
-            z_m=settled.z_m, roll_rad=settled.roll_rad, pitch_rad=settled.pitch_rad, **{
-                name: float(cell(table, row, name))
-                for name in ('x_m', 'y_m', 'yaw_rad', 'speed_mps', 'yaw_rate_radps')
-            })
-        pixels = camera.render(state, round(float(cell(table, row, 't_s')) * NS_PER_S))
+        pose: Any = table.loc[
+            row, ['x_m', 'y_m', 'yaw_rad', 'speed_mps', 'yaw_rate_radps']].to_dict()
+        state = AircraftState(**pose, z_m=settled.z_m, roll_rad=settled.roll_rad,
+                              pitch_rad=settled.pitch_rad)
+        pixels = camera.render(state, round(times[row] * NS_PER_S))
         seen[row] = tuple(estimates_of(pixels, [perception], found.setup.rig))
         if row in chosen:
             shown[row] = pixels
     table['rendered_est_cte_m'] = seen[:, 0]
     table['rendered_est_heading_error_deg'] = np.degrees(seen[:, 1])
     beside = table.iloc[rows].copy()
-    for _, _, column in QUANTITIES.values():
-        name = 'cte_m' if column == 'cte_error_m' else 'heading_error_deg'
-        beside[f'{column}_2'] = beside[f'rendered_est_{name}'] - beside[name]
-    return Rendered(
-        rows=rows, slices=sliced(beside, 2)[0],
-        pairs={row: (pixels, shown[row]) for row, pixels in row_pictures(found, list(shown))},
-    )
-
-
-def gap_words(rendered: Rendered) -> str:
-    """One sentence on the gap between recorded and rendered frames."""
-    everything = rendered.slices[0]
-
-    def one(quantity: str, unit: str) -> str:
-        (recorded, drawn), gap = everything.errors[quantity], everything.better[quantity]
-        around = '' if math.isnan(gap.low) else f' (gap {gap.low:+.2f} to {gap.high:+.2f})'
-        return f'{recorded.value:.2f} {unit} recorded, {drawn.value:.2f} {unit} rendered{around}'
-
-    return (
-        f'On {len(rendered.rows)} frames and the same poses in our world: '
-        f'{one("cte", "m")} across the track; {one("heading", "deg")} in heading.')
-
-
-def rendered_figures(found: Score, rendered: Rendered) -> list[Picture | Table]:
-    """The pairs of pictures, and the gap by what the frames show."""
-    return [
-        Picture(
-            name='score-rendered', title='Recorded (above) and rendered (below)',
-            size_in=(9.0, 3.0), caption='The same poses; above each the estimated cross-track '
-            'error.', draw=partial(_draw_pairs, found, rendered),
-        ),
-        slice_table(rendered.slices, ('recorded', 'rendered'), 'score-gap'),
-    ]
-
-
-def _draw_pairs(found: Score, rendered: Rendered, figure: Figure, theme: Theme) -> None:
-    grid = figure.subplots(2, len(rendered.pairs), squeeze=False)
-    for column, (row, pictures) in enumerate(rendered.pairs.items()):
-        names = 'est_cte_m', 'rendered_est_cte_m'
-        for axes, pixels, name in zip(grid[:, column], pictures, names, strict=True):
-            axes.imshow(pixels)
-            axes.set_axis_off()
-            axes.set_title(f'{cell(found.table, row, name):+.1f} m', fontsize=8, color=theme.ink)
+    for quantity, name in (('cte_error_m', 'cte_m'),
+                           ('heading_error_error_deg', 'heading_error_deg')):
+        beside[f'{quantity}_2'] = beside[f'rendered_est_{name}'] - beside[name]
+    found.start, found.gap = scenario, sliced(beside, 2)[0]
+    found.pairs = {row: (pixels, shown[row]) for row, pixels in row_pictures(found, chosen)}

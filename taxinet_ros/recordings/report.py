@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import astuple
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import (
@@ -27,43 +27,46 @@ from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
+from taxinet_ros.recordings.frames import ENDS
 from taxinet_ros.recordings.score import (
     NOTABLE_LATENCY_S,
     QUANTITIES,
     Score,
     Slice,
-    cell,
     row_pictures,
 )
-from taxinet_ros.recordings.statistics import Mean
+from taxinet_ros.recordings.score import Picture as Pixels
 
 FRAMES_NAME, JSON_NAME, PAGE_NAME = 'frames.parquet', 'score.json', 'score.html'
 TEXT = Path(__file__).with_name('page.j2')
 _COLUMNS = 4
 
 
-def score_report(found: Score, gap: str = '', extra: Mapping[str, Sequence[Any]] = {}) -> Report:
-    """Report on a score.
-
-    Args:
-        found: the score.
-        gap: a sentence on rendered frames beside.
-        extra: pictures and tables of further sections.
-    """
-    networks = list(found.networks)
+def score_report(found: Score) -> Report:
+    """Report on a score."""
+    networks, at = list(found.networks), found.table.to_dict('index')
     pictures = dict(row_pictures(found, found.worst))
+    worst = [(pictures[row], f'{at[row]["t_s"]:.1f} s: {at[row]["cte_m"]:+.1f} m, '
+              f'{at[row]["est_cte_m"]:+.1f} m') for row in found.worst if row in pictures]
+    pairs = [(pair[number], f'{at[row][f"{which}est_cte_m"]:+.1f} m')
+             for number, which in enumerate(('', 'rendered_')) for row, pair in found.pairs.items()]
     figures: dict[str, Sequence[Picture | Table]] = {
         'errors': (slice_table(found.slices, networks, 'score-errors'),),
         'path': tuple(_path_picture(found, quantity) for quantity in QUANTITIES),
-        'worst': (_worst_picture(found, pictures), _worst_table(found)) if pictures else (),
+        'worst': (
+            _grid('score-frames', 'Pictures', 'Above each: time, and cross-track error true and '
+                  'estimated.', worst, _COLUMNS), _worst_table(found)) if worst else (),
+        'rendered': (
+            _grid('score-rendered', 'Recorded (above) and rendered (below)', 'The same poses; '
+                  'above each the estimated cross-track error.', pairs, len(found.pairs)),
+            slice_table(found.gap, ('recorded', 'rendered'), 'score-gap')) if found.gap else (),
         'requirements': (_verdict_table(found),),
-        **extra,
     }
     return fill_report(TEXT, {
-        's': found, 'e': found.slices[0].errors, 'networks': networks, 'gap': gap,
+        's': found, 'e': found.slices[0].errors, 'networks': networks,
         'comparison': found.slices[0].better, 'notable': NOTABLE_LATENCY_S,
         'names': {name: words for name, (words, _, _) in QUANTITIES.items()},
-        'judged': judged_words(found), 'worst': bool(pictures),
+        'judged': judged_words(found), 'worst': bool(worst),
     }, figures)
 
 
@@ -91,22 +94,14 @@ def score_json(found: Score, report: Report) -> dict[str, Any]:
         'track': found.setup.track.name, 'image': found.setup.image,
         'truth': found.setup.source.topic, 'heading': found.setup.source.heading,
         'bags': [str(one.recording.path) for one in found.bags],
-        'latency': found.latency._asdict(), 'latency_applied_s': found.applied_s,
-        'slices': [
-            {'kind': one.kind, 'name': one.name, 'better': _plain(one.better),
-             'errors': {name: [mean._asdict() for mean in means]
-                        for name, means in one.errors.items()}}
-            for one in found.slices
-        ],
+        'latency': found.latency, 'latency_applied_s': found.applied_s, 'slices': found.slices,
         'start': None if found.start is None else found.start.to_human(),
         'verdicts': found.verdicts, 'alarms': found.alarms, 'mirrored': dict(found.mirrored),
         'notes': found.notes, 'made_on': dict(provenance()), 'sentences': list(report.summary),
     })
 
 
-def write_score(
-    found: Score, out: Path, gap: str = '', extra: Mapping[str, Sequence[Any]] = {}
-) -> tuple[Report, dict[str, Any]]:
+def write_score(found: Score, out: Path) -> tuple[Report, dict[str, Any]]:
     """Write the table of frames, JSON and page; return the report and the values of the JSON.
 
     Raises:
@@ -114,15 +109,11 @@ def write_score(
     """
     make_folder(out)
     write_parquet(out / FRAMES_NAME, found.table)
-    report = score_report(found, gap, extra)
+    report = score_report(found)
     values = score_json(found, report)
     write_atomically(out / JSON_NAME, json_text(values) + '\n')
     write_report(report, out / PAGE_NAME)
     return report, values
-
-
-def _plain(means: Mapping[str, Mean]) -> dict[str, dict[str, float]]:
-    return {name: mean._asdict() for name, mean in means.items()}
 
 
 def slice_table(slices: Sequence[Slice], names: Sequence[str], name: str) -> Table:
@@ -162,8 +153,7 @@ def _verdict_table(found: Score) -> Table:
             Column(name='requirement', title='requirement'),
             Column(name='verdict', title='verdict'),
             Column(name='rho', title='rho, at least', decimals=2),
-        ), rows=tuple((Path(one.bag).name, one.start_s, one.duration_s, one.spec, one.verdict,
-                       one.lower) for one in found.verdicts))
+        ), rows=tuple((Path(one.bag).name, *astuple(one)[1:6]) for one in found.verdicts))
 
 
 def _worst_table(found: Score) -> Table:
@@ -173,8 +163,8 @@ def _worst_table(found: Score) -> Table:
         name='score-worst', title='The worst frames', caption='Left positive.',
         columns=(Column(name='bag', title='bag'), *(
             Column(name=name, title=name.replace('_', ' '), decimals=2) for name in names)),
-        rows=tuple((Path(cell(found.table, row, 'bag')).name, *(
-            float(cell(found.table, row, name)) for name in names)) for row in found.worst))
+        rows=tuple((Path(bag).name, *numbers) for bag, *numbers in found.table.loc[
+            found.worst, ['bag', *names]].itertuples(index=False)))
 
 
 def _path_picture(found: Score, quantity: str) -> Picture:
@@ -195,33 +185,29 @@ def _draw_path(found: Score, quantity: str, figure: Figure, theme: Theme) -> Non
     t_s = kept['t_s'] + kept['bag'].map(begun)
     axes.plot(t_s, kept[name], color=theme.ink, linewidth=1.6, label='truth')
     for number, word in enumerate(found.networks):
-        column = f'est_{name}{"_2" if number else ""}'
-        axes.plot(t_s, kept[column], '.', markersize=2.5, label=Path(word).name,
-                  color=(theme.failed, theme.passed)[number])
+        axes.plot(t_s, kept[f'est_{name}{ENDS[number]}'], '.', markersize=2.5,
+                  label=Path(word).name, color=(theme.failed, theme.passed)[number])
     axes.set_xlabel('time [s]')
     axes.set_ylabel(f'{QUANTITIES[quantity][0]} error [{QUANTITIES[quantity][1]}]')
     style_axes(axes)
     figure.legend(loc='outside upper center', ncols=3, frameon=False, fontsize=9)
 
 
-def _worst_picture(found: Score, pictures: Mapping[int, NDArray[np.uint8]]) -> Picture:
-    rows = math.ceil(len(pictures) / _COLUMNS)
-    return Picture(
-        name='score-frames', title='Pictures', size_in=(9.0, 1.5 * rows),
-        draw=partial(_draw_frames, found, pictures),
-        caption='Above each: time, and cross-track error true and estimated.')
+def _grid(
+    name: str, title: str, caption: str, pictures: Sequence[tuple[Pixels, str]], columns: int
+) -> Picture:
+    """Pictures, each below its words."""
+    rows = math.ceil(len(pictures) / columns)
+    return Picture(name=name, title=title, caption=caption, size_in=(9.0, 1.5 * rows),
+                   draw=partial(_draw_grid, pictures, rows, columns))
 
 
-def _draw_frames(
-    found: Score, pictures: Mapping[int, NDArray[np.uint8]], figure: Figure, theme: Theme
+def _draw_grid(
+    pictures: Sequence[tuple[Pixels, str]], rows: int, columns: int, figure: Figure, theme: Theme
 ) -> None:
-    shown = [row for row in found.worst if row in pictures]
-    grid = figure.subplots(math.ceil(len(shown) / _COLUMNS), _COLUMNS, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
-    for axes, row in zip(grid.flat, shown, strict=False):
-        at: Any = found.table.loc[row]
-        axes.imshow(pictures[row])
-        axes.set_title(
-            f'{at["t_s"]:.1f} s: {at["cte_m"]:+.1f} m, {at["est_cte_m"]:+.1f} m', fontsize=8,
-            color=theme.ink)
+    for axes, (pixels, words) in zip(grid.flat, pictures, strict=False):
+        axes.imshow(pixels)
+        axes.set_title(words, fontsize=8, color=theme.ink)

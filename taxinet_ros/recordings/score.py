@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.assurance.checks import Kinematics
 from taxinet_ros.core.assurance.monitor import CalibratedMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import alarm_of
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
 from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, signal_names
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.place.catalogue import typed_place
@@ -26,12 +26,14 @@ from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS, DEFAULT_AIRCRAFT
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
+from taxinet_ros.core.topics import COMMAND as COMMAND_TOPIC
 from taxinet_ros.core.trace import trace_signals
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import (
     AFTER_LEAP,
+    ENDS,
     OUT_OF_ORDER,
     SCORED,
     STATUSES,
@@ -42,16 +44,14 @@ from taxinet_ros.recordings.frames import (
     estimates_of,
     frame_table,
     own_scenario,
-    pictures_of,
     place_notes,
     prepared,
     read_frames,
     resolved_source,
     shown_pictures,
-    the_topic,
     time_notes,
 )
-from taxinet_ros.recordings.reader import IMAGES, Recording
+from taxinet_ros.recordings.reader import IMAGES, Recording, picture, stamp_of
 from taxinet_ros.recordings.statistics import (
     Latency,
     Mean,
@@ -81,6 +81,7 @@ _SCALES = (
 )
 """Of cross-track and heading error: what the scale of the estimates would be, and why."""
 _SCALE_SHARE = 0.2
+Picture = NDArray[np.uint8]
 _CLEAR_CORRELATION = 0.8
 
 
@@ -151,25 +152,6 @@ class PathVerdict:
     upper: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Alarms:
-    """What a run-time monitor says of the frames of a recording, thinned to 10 Hz.
-
-    Attributes:
-        monitor: its word.
-        frames: number of frames it saw.
-        alarms: number of frames with an alarm.
-        reasons: alarms by check.
-        first_s: time of the first one in its bag; NaN if there is none.
-    """
-
-    monitor: str
-    frames: int
-    alarms: int
-    reasons: Mapping[str, int]
-    first_s: float
-
-
 @dataclass(kw_only=True, eq=False)
 class Score:
     """The findings.
@@ -185,12 +167,16 @@ class Score:
         latency: estimated.
         applied_s: latency that was taken off.
         verdicts: of requirements.
-        alarms: of the monitor.
+        alarms: what the monitor says of the frames, thinned to 10 Hz: their number, alarms by
+            reason and the time of the first one; None without a monitor.
         mirrored: errors with the other sign, see :func:`.mirrored_errors`.
         notes: likely mistakes and limits, one line each.
         scenario: of a run of ours, or None.
         worst: rows of the largest errors, the worst first.
         start: our scenario of how the recording began; None if it was not simulated.
+        gap: errors on recorded and on rendered frames of the same poses, as of two networks; empty
+            if it was not simulated.
+        pairs: pictures by row, recorded and rendered, of some.
     """
 
     setup: Setup
@@ -203,11 +189,13 @@ class Score:
     applied_s: float
     verdicts: list[PathVerdict]
     mirrored: Mapping[str, float]
-    alarms: Alarms | None = None
+    alarms: Mapping[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
     scenario: Scenario | None = None
     worst: list[int] = field(default_factory=list)
     start: Scenario | None = None
+    gap: Sequence[Slice] = ()
+    pairs: Mapping[int, tuple[Picture, Picture]] = field(default_factory=dict)
 
     @property
     def scored(self) -> NDArray[np.bool_]:
@@ -221,7 +209,7 @@ class Score:
         return {status: found[status] for status in STATUSES if found[status]}
 
 
-Play = Callable[[str, Iterator[NDArray[np.uint8]], Scenario], Sequence[TrackingError]]
+Play = Callable[[str, Iterator[Picture], Scenario], Sequence[TrackingError]]
 """Plays pictures into the node of a command, and gives its answers."""
 
 
@@ -253,8 +241,8 @@ def score(
     perceptions += prepared(setup.networks[len(perceptions):], setup.rig)
     bags = [read_frames(one, setup, perceptions, progress) for one in recordings]
     latency = estimate_latency([
-        (one.truth, one.stamps_ns[:one.leap.number], one.estimates[0, :one.leap.number])
-        for one in bags
+        (one.truth, one.stamps_ns[:one.leap.number],
+         one.seen[['est_cte_m', 'est_he_rad']].to_numpy()[:one.leap.number]) for one in bags
     ], setup.track)
     applied_s = _applied(options.latency, latency)
     table = pd.concat(
@@ -305,7 +293,7 @@ def make_setup(
         raise UsageError(f'--against {options.against}: is --perception itself; name another')
     return Setup(
         place=place, track=track, rig=rig, networks=networks,
-        image=the_topic(recording, options.image, IMAGES, '--image'),
+        image=recording.topic(options.image, IMAGES, '--image'),
         source=resolved_source(options.source, recording, scenario is not None),
     )
 
@@ -339,12 +327,6 @@ def _bag_notes(frames: Frames, table: pd.DataFrame, setup: Setup) -> Iterator[st
     own = table[table['bag'] == str(frames.recording.path)]
     notes = [*frames.truth.notes, *time_notes(frames, setup.image), *place_notes(own, setup)]
     notes += frames.notes + ([frames.recording.note] if frames.recording.note else [])
-    if len(frames.cameras) > 1:
-        listed = ', '.join(f'{one or "no name"} ({count})' for one, count in
-                           frames.cameras.most_common(4))
-        notes.append(f'{setup.image}: pictures of two cameras on one topic: {listed}')
-    notes += [f'{setup.image}: {count} pictures: {why}' for why, count in
-              frames.unread.most_common(3)]
     notes += [f'{setup.source.topic}: {count} samples left out: {why}' for why, count in
               frames.truth.left_out.items() if count]
     if frames.truth.spread_m > 0.25:
@@ -382,9 +364,9 @@ def stretches(table: pd.DataFrame) -> NDArray[np.int64]:
 def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
     """Errors of all scored frames and by what they show; and how many count as one."""
     kept = table[table['status'] == SCORED].reset_index(drop=True)
-    ends = ['', '_2'][:networks]
     absolute = {
-        name: np.stack([kept[f'{column}{end}'].abs().to_numpy(np.float64) for end in ends])
+        name: np.stack([kept[f'{column}{end}'].abs().to_numpy(np.float64)
+                        for end in ENDS[:networks]])
         for name, (_, _, column) in QUANTITIES.items()
     }
     groups = stretches(kept)
@@ -427,11 +409,6 @@ def _masks(kept: pd.DataFrame) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
                 yield kind, f'{low:g} to {high:g} {unit}', mask
 
 
-def cell(table: pd.DataFrame, row: int, column: str) -> Any:
-    """Value of a row and column of the table of frames."""
-    return table[column].to_numpy()[row]
-
-
 def worst_rows(table: pd.DataFrame) -> list[int]:
     """Rows of the largest errors of the first network, a second apart or more."""
     kept = table[table['status'] == SCORED]
@@ -439,11 +416,12 @@ def worst_rows(table: pd.DataFrame) -> list[int]:
         (kept[column].abs() / max(float(kept[column].abs().mean()), 1e-9)
          for _, _, column in QUANTITIES.values()), start=pd.Series(0.0, index=kept.index))
     found: list[int] = []
-    for row in size.dropna().sort_values(ascending=False, kind='stable').index:
-        stamp, bag = cell(table, row, 'stamp_ns'), cell(table, row, 'bag')
-        if all(cell(table, other, 'bag') != bag or abs(cell(table, other, 'stamp_ns') - stamp)
-               >= _WORST_APART_S * NS_PER_S for other in found):
-            found.append(int(row))
+    at = table[['bag', 'stamp_ns']].to_dict('index')
+    for row in size.dropna().sort_values(ascending=False, kind='stable').index.tolist():
+        if all(at[other]['bag'] != at[row]['bag'] or abs(
+                at[other]['stamp_ns'] - at[row]['stamp_ns']) >= _WORST_APART_S * NS_PER_S
+                for other in found):
+            found.append(row)
         if len(found) == WORST:
             break
     return found
@@ -517,11 +495,11 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     if isinstance(perceptions[0], NodeAnswers):
         return f'{begun}: mirrored pictures, or the signs of the truth; left is positive'
     errors: list[tuple[float, float]] = []
-    for row, pixels in _spread_pictures(found, _FLIPPED):
-        truth = float(cell(found.table, row, 'cte_m'))
+    true_m = found.table['cte_m'].tolist()
+    for row, pixels in row_pictures(found, spread(found, _FLIPPED)):
         seen = [next(estimates_of(one, perceptions, found.setup.rig))
                 for one in (pixels, np.ascontiguousarray(pixels[:, ::-1]))]
-        errors.append((abs(seen[0] - truth), abs(seen[1] - truth)))
+        errors.append((abs(seen[0] - true_m[row]), abs(seen[1] - true_m[row])))
     kept, flipped = np.nanmean(np.array(errors), axis=0) if errors else (math.nan, math.nan)
     if flipped < 0.6 * kept:
         return (f'{begun}, and in pictures turned left to right the cross-track error is '
@@ -529,29 +507,29 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     return f'{begun}: the truth is right positive, or its heading is turned; left is positive'
 
 
-def _spread_pictures(
-    found: Score, count: int
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Rows and pictures of up to ``count`` scored frames, evenly spread."""
+def spread(found: Score, count: int) -> list[int]:
+    """Rows of up to ``count`` scored frames, evenly spread."""
     rows = np.flatnonzero(found.scored)
-    yield from row_pictures(found, rows[np.linspace(
-        0, len(rows) - 1, min(count, len(rows))).astype(int)].tolist())
+    return rows[np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int)].tolist()
 
 
-def row_pictures(found: Score, rows: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Row and picture of some rows of the table, bag by bag in the order of recording."""
+def row_pictures(found: Score, rows: Sequence[int]) -> Iterator[tuple[int, Picture]]:
+    """Row and picture of some rows, in the order of the table, by another pass through the bags."""
+    chosen = found.table.loc[sorted(rows)]
     for frames in found.bags:
-        own = {
-            int(cell(found.table, row, 'number')): row for row in rows
-            if cell(found.table, row, 'bag') == str(frames.recording.path)
-        }
-        for number, pixels in pictures_of(frames, found.setup.image, list(own)):
-            yield own[number], pixels
+        own = chosen.index[chosen['bag'] == str(frames.recording.path)].tolist()
+        wanted = dict(zip(chosen.loc[own, 'number'].tolist(), own, strict=True))
+        messages = frames.recording.decoded((found.setup.image,)) if own else ()
+        for number, (_, _, message) in enumerate(messages):
+            if number in wanted:
+                yield wanted[number], picture(message)
+            if number >= max(wanted):
+                break
 
 
-def _watch(found: Score, word: str) -> Alarms:
-    """Show the frames to a run-time monitor, ten a second."""
-    rig = found.setup.rig
+def _watch(found: Score, word: str) -> dict[str, Any]:
+    """Show the frames to a run-time monitor, ten a second, each the nearest to a control step."""
+    rig, table = found.setup.rig, found.table
     if rig is None:
         raise UsageError(
             f'--monitor {word}: needs to know the camera; describe it with --camera FILE')
@@ -559,39 +537,42 @@ def _watch(found: Score, word: str) -> Alarms:
     kinematics = monitor.calibration.fitted.kinematics if isinstance(
         monitor, CalibratedMonitor) else None
     scenario = _scene(found.scenario, rig)
-    reasons, seen, first_s = Counter[str](), 0, math.nan
-    before = -1
-    monitor.begin(scenario)
-    for row, pixels in row_pictures(found, _ten_a_second(found.table)):
-        at: Any = found.table.loc[row]
-        if before < 0 or cell(found.table, before, 'bag') != at['bag']:
+    stamps = table['stamp_ns'][found.scored]
+    steps = np.rint(stamps / CONTROL_PERIOD_NS)
+    off = (stamps - steps * CONTROL_PERIOD_NS).abs()
+    rows = sorted(off.groupby([table['bag'][found.scored], steps]).idxmin().tolist())
+    reasons, first_s, largest = Counter[str](), math.nan, dict[str, float]()
+    bag, own = '', dict[int, TaxiCommand]()
+    for row, pixels in row_pictures(found, rows):
+        at: Any = table.loc[row]
+        if at['bag'] != bag:
+            bag, own = at['bag'], _own_commands(found, at['bag'])
             monitor.begin(scenario)
-        before = row
-        scores = monitor.scores(Seen(
-            image=pixels, estimate=_estimate(at), command=_command(at, kinematics)))
+        estimate = NO_ESTIMATE if math.isnan(at['est_cte_m']) else TrackingError(
+            cte_m=at['est_cte_m'], he_rad=math.radians(at['est_heading_error_deg']))
+        command = own.get(at['stamp_ns'] - CONTROL_PERIOD_NS, rolling_on(
+            scenario.speed_mps)) if own else _command(at, kinematics)
+        scores = monitor.scores(Seen(image=pixels, estimate=estimate, command=command))
+        largest |= {name: max(score, largest.get(name, score)) for name, score in scores.items()}
         alarm = alarm_of(scores, row)
-        seen += 1
         if alarm is not None:
             reasons[alarm.reason] += 1
-            first_s = first_s if first_s == first_s else float(at['t_s'])
-    return Alarms(monitor=word, frames=seen, alarms=reasons.total(), reasons=dict(reasons),
-                  first_s=first_s)
+            first_s = first_s if math.isfinite(first_s) else float(at['t_s'])
+    return {'monitor': word, 'frames': len(rows), 'alarms': reasons.total(), 'largest': largest,
+            'reasons': dict(reasons), 'first_s': first_s, 'derived': not own}
 
 
-def _ten_a_second(table: pd.DataFrame) -> list[int]:
-    """Rows of scored frames, each nearest to a multiple of the control period."""
-    kept = table[table['status'] == SCORED]
-    steps = np.rint(kept['stamp_ns'] / CONTROL_PERIOD_NS)
-    off = (kept['stamp_ns'] - steps * CONTROL_PERIOD_NS).abs()
-    nearest = off.groupby([kept['bag'], steps]).idxmin()
-    return sorted(int(row) for row in nearest)
-
-
-def _estimate(row: Any) -> TrackingError:
-    cte_m, heading_deg = float(row['est_cte_m']), float(row['est_heading_error_deg'])
-    known = math.isfinite(cte_m)
-    return TrackingError(cte_m=cte_m if known else 0.0, valid=known,
-                         he_rad=math.radians(heading_deg) if known else 0.0)
+def _own_commands(found: Score, bag: str) -> dict[int, TaxiCommand]:
+    """Commands of a run of ours by their stamps; none of other recordings."""
+    if found.scenario is None:
+        return {}
+    [recording] = [one.recording for one in found.bags if str(one.recording.path) == bag]
+    topics = [name for name in recording.types if name.endswith(f'/{COMMAND_TOPIC.name}')]
+    return {
+        stamp_of(message): TaxiCommand(
+            steering_rad=message.steering_angle, speed_mps=message.speed)
+        for _, _, message in recording.decoded(topics)
+    }
 
 
 def _command(row: Any, kinematics: Kinematics | None) -> TaxiCommand:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import pymap3d
 from numpy.typing import NDArray
 
@@ -22,7 +23,14 @@ from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, runway_frame
 from taxinet_ros.core.types import NS_PER_S, yaw_of
 from taxinet_ros.errors import UsageError
-from taxinet_ros.recordings.reader import FIX, HEADINGS, TRANSFORMS, Recording, stamp_of
+from taxinet_ros.recordings.reader import (
+    FIX,
+    HEADINGS,
+    TRANSFORMS,
+    TRUTHS,
+    Recording,
+    stamp_of,
+)
 
 Floats = NDArray[np.float64]
 RUNWAY = 'runway'
@@ -207,12 +215,10 @@ class TruthReader:
             UsageError: a topic is missing or of another type, or the frame of poses is unknown.
         """
         self.source, self._runway = source, runway
-        self._kind = _kind(recording, source.topic_name)
-        heading = source.heading if source.heading not in ('', TRACK) else ''
-        if heading and _kind(recording, heading, 'heading') not in HEADINGS:
-            raise UsageError(
-                f'{recording.path}: --heading {heading} is a {recording.types[heading]}; expected '
-                f'one of {", ".join(HEADINGS)}, or track')
+        self._kind = recording.types[recording.topic(source.topic, TRUTHS, '--truth')]
+        heading = '' if source.heading == TRACK else source.heading
+        if heading:
+            recording.topic(heading, HEADINGS, '--heading')
         self._heading_topic = heading
         self.topics = {source.topic_name, *filter(None, (heading,))}
         if self._kind == TRANSFORMS:
@@ -411,13 +417,6 @@ def origin_of(frame: str) -> tuple[float, float]:
     return latitude, longitude
 
 
-def _kind(recording: Recording, topic: str, option: str = 'truth') -> str:
-    if topic not in recording.types:
-        known = ', '.join(sorted(recording.types))
-        raise UsageError(f'{recording.path}: --{option} {topic}: no such topic; it has {known}')
-    return recording.types[topic]
-
-
 def _pose(message: Any) -> Any:
     """The pose of an Odometry or PoseStamped."""
     return message.pose.pose if hasattr(message.pose, 'pose') else message.pose
@@ -458,27 +457,12 @@ def _motion(stamps_ns: NDArray[np.int64], x: Floats, y: Floats, yaw: Floats) -> 
     """Direction of motion, speed and turn rate, by straight lines through a window of time."""
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
     # At least one sample on each side, however slow the source is.
-    window = max(_WINDOW_S, 1.01 * float(np.median(np.diff(t))))
-    first = np.searchsorted(t, t - window - 1e-9)
-    last = np.searchsorted(t, t + window + 1e-9)
-
-    def sums(values: Floats) -> Floats:
-        whole = np.concatenate([[0.0], np.cumsum(values)])
-        return whole[last] - whole[first]
-
-    count = (last - first).astype(np.float64)
-    mean = sums(t) / count
-    spread = sums(t * t) / count - mean * mean
-
-    def slope(values: Floats) -> Floats:
-        start = values - values[0]
-        with np.errstate(divide='ignore', invalid='ignore'):
-            found: Floats = (sums(t * start) / count - mean * sums(start) / count) / spread
-        return np.where(spread > 1e-9, found, np.nan)
-
-    dx, dy = slope(x), slope(y)
-    known = np.isfinite(yaw)
-    turned = np.interp(t, t[known], np.unwrap(yaw[known])) if known.any() else np.zeros(len(t))
-    course = np.arctan2(dy, dx)
-    speed = np.hypot(dx, dy)
-    return Poses(x, y, course, speed, np.where(known, slope(turned), np.nan))
+    window_s = max(_WINDOW_S, 1.01 * float(np.median(np.diff(t))))
+    values = pd.DataFrame(
+        {'t': t, 'x': x - x[0], 'y': y - y[0], 'yaw': unwrapped(yaw)},
+        index=pd.to_datetime(stamps_ns))
+    near = values.rolling(pd.Timedelta(seconds=2 * window_s), center=True, closed='both')
+    slopes = near.cov(values['t']).div(near['t'].var(), axis=0)
+    dx, dy, turn = (slopes[name].to_numpy() for name in ('x', 'y', 'yaw'))
+    turn = np.where(np.isfinite(yaw), turn, np.nan)
+    return Poses(x, y, np.arctan2(dy, dx), np.hypot(dx, dy), turn)

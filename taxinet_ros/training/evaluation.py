@@ -98,10 +98,7 @@ def image_perception(word_or_file: str) -> Perception:
     """
     perception = make_perception(word_or_file)
     if not perception.needs_image:
-        raise UsageError(
-            f'evaluate: perception {word_or_file!r} uses no camera image; name taxinet or a '
-            'weights file'
-        )
+        raise UsageError(f'--perception {word_or_file}: uses no camera image; name a network')
     return perception
 
 

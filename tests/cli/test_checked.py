@@ -32,7 +32,7 @@ from taxinet_ros.trials.record import table
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')
 OUTPUT_FILES = {
-    'aircraft --out', 'assure calibrate --out', 'bag export --out', 'camera compare --out',
+    'aircraft --out', 'assure calibrate --out', 'bag export --out',
     'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
     'check-node --log',
     'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
@@ -221,7 +221,7 @@ ARGUMENTS = {
     'analyze': ('c',), 'forecast show': ('f', BAG), 'bag replay': (BAG,),
     'bag compare': (BAG, BAG), 'estimate': ('s_falsif',), 'falsify': ('s_falsif',),
     'score': (BAG,), 'spec': ('phi_always',), 'mine': ('always(cte <= A)', 'c'),
-    'camera compare': ('c',), 'check-node': ('true',),
+    'check-node': ('true',),
 }
 
 

@@ -14,7 +14,6 @@ import pytest
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bench.report import load_report
 from taxinet_ros.core.assurance.monitor import read_calibration
-from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.onnx.network import NetworkFiles
 from taxinet_ros.core.perception.onnx.nnet import description_of, read_nnet
 from taxinet_ros.core.perception.weights import load_card, load_model
@@ -26,6 +25,7 @@ from taxinet_ros.files.plain_values import read_yaml
 from taxinet_ros.files.reading import UnfitFileError, open_regular, read_file, read_text
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.scenes.programs import stored_text
+from taxinet_ros.training.data.image_folder import open_folder
 from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.learned_program import learned_program
 
@@ -37,7 +37,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     'calibration.npz': read_calibration,
     'card.json': load_card,
     'description.yaml': lambda path: description_of(str(path)),
-    'labels.csv': lambda path: read_labelled_frames(path.parent),
+    'labels.csv': lambda path: open_folder(path.parent),
     'mine.py': lambda path: find_user_code(f'{path}:steer', 'controller'),
     'net.nnet': read_nnet,
     'net.onnx': NetworkFiles.read,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -12,11 +13,15 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 
 from taxinet_ros.bag.reader import stored_messages
+from taxinet_ros.bag.run.message_values import error_of
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.assurance.monitor import make_monitor
+from taxinet_ros.bag.run.topics import ESTIMATE
+from taxinet_ros.core.assurance.monitor import Seen, make_monitor
+from taxinet_ros.core.assurance.switch import alarm_of
+from taxinet_ros.core.control_step import rolling_on
 from taxinet_ros.core.pacing.timing import free_timing
+from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.extras.assurance.recorded import judge_recording
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.runtime_monitor import RuntimeMonitor
@@ -80,8 +85,25 @@ class Heard:
         assert self.statuses[-1].message == str(told.alarm)
 
 
-def judged(bag, monitor):
-    return judge_recording(open_recording(bag), make_monitor(str(monitor)))
+def judged(bag, word):
+    """First alarm, largest scores until then and the number of steps, of what a bag holds."""
+    recording, monitor, largest = open_recording(bag), make_monitor(str(word)), {}
+    scenario = recording.run.request.scenario
+    estimates = [error_of(message) for _, _, message in recording.messages((ESTIMATE,))]
+    sent = zip(*(recording.columns[one].tolist() for one in (
+        'steering_rad', 'speed_cmd_mps')), strict=True)
+    commands = [rolling_on(scenario.speed_mps), *(
+        TaxiCommand(steering_rad=steering, speed_mps=speed) for steering, speed in sent)]
+    monitor.begin(scenario)
+    for frame, estimate, command in zip(
+        recording.frames(), estimates, commands[:-1], strict=True
+    ):
+        scores = monitor.scores(Seen(image=frame.image, estimate=estimate, command=command))
+        largest = {name: max(score, largest.get(name, score)) for name, score in scores.items()}
+        alarm = alarm_of(scores, frame.seq)
+        if alarm is not None:
+            break
+    return SimpleNamespace(alarm=alarm, largest=largest, steps=frame.seq + 1)
 
 
 def test_given_a_run_with_it_then_time_waits_for_it_and_the_bag_says_the_same(

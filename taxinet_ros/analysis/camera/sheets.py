@@ -21,7 +21,6 @@ from taxinet_ros.core.scenario_fields import along_words, clock_words
 
 Picture = NDArray[np.uint8]
 _GAP_PX = 6
-_APART_PX = 18
 _PAPER = (255, 255, 255)
 _INK = (20, 20, 20)
 _FONT_SHARE = 22
@@ -32,7 +31,7 @@ _HEADING_SHARE = 85
 
 def contact_sheet(
     tiles: Sequence[tuple[Picture, str]], columns: int, path: Path,
-    *, title: str = '', group: int = 0,
+    *, title: str = '',
 ) -> None:
     """Arrange pictures row by row, each with its caption below.
 
@@ -44,7 +43,6 @@ def contact_sheet(
         columns: number of pictures in a row.
         path: PNG file to write.
         title: title line.
-        group: number of adjacent pictures in a row that form a group, set apart from the next.
 
     Raises:
         ValueError: there are no tiles or columns, or a picture is not (H, W, 3) uint8.
@@ -58,18 +56,14 @@ def contact_sheet(
     strip = _line_height(width) * max(caption.count('\n') + 1 for caption in captions) + _GAP_PX
     rows = -(-len(tiles) // columns)
     head = _title_height(_title_px(width)) if title else 0
-    lefts = [
-        _GAP_PX + column * (width + _GAP_PX) + (column // group * _APART_PX if group else 0)
-        for column in range(columns)
-    ]
     pitch = height + strip + _GAP_PX
-    size = (lefts[-1] + width + _GAP_PX, head + rows * pitch + _GAP_PX)
+    size = (_GAP_PX + columns * (width + _GAP_PX), head + rows * pitch + _GAP_PX)
     sheet = Image.new('RGB', size, _PAPER)
     draw = ImageDraw.Draw(sheet)
     _draw_title(draw, title, _title_px(width))
     for number, ((image, _), caption) in enumerate(zip(tiles, captions, strict=True)):
         row, column = divmod(number, columns)
-        left, top = lefts[column], head + _GAP_PX + row * pitch
+        left, top = _GAP_PX + column * (width + _GAP_PX), head + _GAP_PX + row * pitch
         _paste(sheet, image, (left, top), (height, width))
         draw.text(
             (left + 2, top + height + 2), caption, fill=_INK, font=_font(_font_px(width)),

@@ -14,13 +14,7 @@ from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.message_values import account_of, scenario_of
 from taxinet_ros.bag.run.messages import header_values, message_cdr
-from taxinet_ros.bag.run.run_bag import (
-    OUTCOME_METADATA,
-    bag_name,
-    canonical_bytes,
-    open_run_bag,
-    outcome_words,
-)
+from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, BegunBag, outcome_words
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import describe_topic
@@ -56,11 +50,10 @@ def stepped_topics(images: bool) -> tuple[Topic, ...]:
     )
 
 
-class LiveBag:
+class LiveBag(BegunBag):
     """Writes one bag; readable at any time, and marked as complete by :meth:`close`.
 
     Attributes:
-        folder: the run folder.
         last_seq: last control step of the run.
         stop_on: when the run ends before that.
         written: number of control steps written.
@@ -73,23 +66,8 @@ class LiveBag:
         self, folder: Path, scenario: Any, scenario_cdr: bytes, *, images: bool,
         attachments: Mapping[str, bytes], min_free_bytes: int, make_parents: bool,
     ) -> None:
-        """Start the bag.
-
-        Args:
-            folder: the run folder; it must not exist.
-            scenario: scenario message of the run.
-            scenario_cdr: the same, serialised.
-            images: whether there will be camera frames.
-            attachments: files to attach, by name.
-            min_free_bytes: required free disk space [bytes].
-            make_parents: whether to create the folder's parents.
-
-        Raises:
-            UsageError: the folder exists, or the disk is full.
-            BagWriteError: an error of the operating system.
-        """
+        """Start the bag as :class:`.BegunBag`; ``scenario_cdr`` is the serialised ``scenario``."""
         scene = scenario_of(scenario)
-        self.folder = folder
         self.last_seq = last_step(scene)
         self.stop_on = parse_stop_on(scenario.stop_on)
         self.written = 0
@@ -100,14 +78,13 @@ class LiveBag:
             topic.name: len(scenario.specs) if topic.recorded == topics.PER_SPEC else 1
             for topic in self._stepped
         }
-        self._canonical = canonical_bytes(images)
         self._transform_of = OdometryTransforms()
         self._scenario_cdr, self._camera = scenario_cdr, scene.camera_model
         self._awaited = topics.NODE_STATUS.speakers(scenario.participants)
         self._run_id = scenario.run_id
         self._reports: dict[str, bytes] = {}
         self.clear()
-        self._writer = open_run_bag(
+        super().__init__(
             folder, scenario, images=images, attachments=attachments,
             min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
@@ -249,10 +226,6 @@ class LiveBag:
             })
         self._writer.close()
 
-    def abandon(self) -> None:
-        """Stop without marking the bag as complete; keeps what was written."""
-        self._writer.abandon()
-
     @property
     def _has_head(self) -> bool:
         return self._reports.keys() == self._awaited
@@ -283,7 +256,3 @@ class LiveBag:
                 if topic is topics.ODOMETRY:
                     self._write(topics.TF, self._transform_of(cdr), stamp_ns)
         self._writer.flush()
-
-    def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
-        name = bag_name(topic)
-        self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)

@@ -124,25 +124,48 @@ def commit_words() -> dict[str, str]:
     return {name: value for name, value in provenance().items() if name == COMMIT}
 
 
-def open_run_bag(
-    folder: Path, scenario: Any, *, images: bool, attachments: Mapping[str, bytes],
-    min_free_bytes: int, make_parents: bool,
-) -> BagWriter:
-    """Start the bag of a run, with its request and what is known before its first message.
+class BegunBag:
+    """Bag of a run, with its request and what is known before its first message.
 
-    Args:
-        folder: as for :class:`RunBag`, like all others.
-        scenario: scenario message of the run.
-        images: whether there will be camera frames.
-        attachments: files to attach besides the request, by name.
-        min_free_bytes: required free disk space [bytes].
-        make_parents: whether to create the folder's parents.
+    The file has its final name from the start; closing it marks it as complete.
+
+    Attributes:
+        folder: the run folder.
     """
-    return BagWriter(
-        folder, bag_topics(images), metadata=run_words(scenario), beside=commit_words(),
-        attachments={'scenario.json': scenario_json(scenario), **attachments},
-        min_free_bytes=min_free_bytes, make_parents=make_parents,
-    )
+
+    def __init__(
+        self, folder: Path, scenario: Any, *, images: bool, attachments: Mapping[str, bytes],
+        min_free_bytes: int, make_parents: bool,
+    ) -> None:
+        """Start the bag.
+
+        Args:
+            folder: the run folder, named like the run; it must not exist.
+            scenario: scenario message of the run.
+            images: whether there will be camera frames.
+            attachments: files to attach besides the request, by name.
+            min_free_bytes: required free disk space [bytes].
+            make_parents: whether to create the folder's parents.
+
+        Raises:
+            UsageError: the folder exists, its name is not a valid run name, or the disk is full.
+            BagWriteError: an error of the operating system.
+        """
+        self.folder = folder
+        self._canonical = canonical_bytes(images)
+        self._writer = BagWriter(
+            folder, bag_topics(images), metadata=run_words(scenario), beside=commit_words(),
+            attachments={'scenario.json': scenario_json(scenario), **attachments},
+            min_free_bytes=min_free_bytes, make_parents=make_parents,
+        )
+
+    def abandon(self) -> None:
+        """Stop without marking the bag as complete; keeps what was written."""
+        self._writer.abandon()
+
+    def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
+        name = _BAG_NAMES[topic.name]
+        self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
 
 OUTCOME_METADATA = 'taxinet_outcome'
@@ -234,51 +257,33 @@ class RunEnding:
 Said = tuple[Topic, bytes]
 
 
-class RunBag:
-    """Bag of a run without ROS graph, written step by step as the recorder node does.
-
-    The file has its final name from the start; :meth:`end` marks it as complete.
-
-    Attributes:
-        folder: the run folder.
-    """
+class RunBag(BegunBag):
+    """Bag of a run without ROS graph, written step by step as the recorder node does."""
 
     def __init__(
         self, folder: Path, request: RunRequest, nodes: Sequence[NodeWords], *, images: bool,
         attachments: Mapping[str, bytes] = MappingProxyType({}),
         min_free_bytes: int = MIN_FREE_BYTES, make_parents: bool = True,
     ) -> None:
-        """Start the bag.
+        """Start the bag as :class:`BegunBag`, with the messages before the first step.
 
-        Args:
-            folder: the run folder, named like the run; it must not exist.
-            request: the run request.
-            nodes: reports of the nodes that a ROS graph would have, without nodes that report
-                nothing.
-            images: whether there will be camera frames.
-            attachments: files to attach besides the request, by name.
-            min_free_bytes: required free disk space [bytes].
-            make_parents: whether to create the folder's parents.
-
-        Raises:
-            UsageError: the folder exists, its name is not a valid run name, or the disk is full.
-            BagWriteError: an error of the operating system.
+        ``nodes`` are reports of the nodes that a ROS graph would have, without those that report
+        nothing.
         """
-        self.folder = folder
         self._run_id = request.run_id
         self._specs = request.judging.parsed_specs
         self._camera = request.scenario.camera_model
         self._steps = 0
-        self._canonical = canonical_bytes(images)
         scenario_cdr = message_cdr(
             topics.SCENARIO, {'header': header_values(0), **scenario_values(request)}
         )
-        self._writer = open_run_bag(
+        super().__init__(
             folder, decode(bag_topics(images)[0], scenario_cdr), images=images,
             attachments=attachments, min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
         ready = _ready(request.run_id, nodes, self._camera)
-        self._write(0, [(topics.SCENARIO, scenario_cdr), *ready])
+        for topic, cdr in ((topics.SCENARIO, scenario_cdr), *ready):
+            self._write(topic, cdr, 0)
 
     def step(self, step: Step, picture: NDArray[np.uint8] | None) -> None:
         """Write a control step, with its frame (200, 360, 3) uint8 RGB if there is one.
@@ -336,20 +341,12 @@ class RunBag:
             BagWriteError: an error of the operating system.
         """
         seq = max(seq, 0)
-        self._write(seq, _end(self._run_id, self._specs, seq, judgement, ending))
+        for topic, cdr in _end(self._run_id, self._specs, seq, judgement, ending):
+            self._write(topic, cdr, seq * CONTROL_PERIOD_NS)
         if fork:
             self._writer.add_metadata(FORK_METADATA, {'fork': fork})
         self._writer.add_metadata(OUTCOME_METADATA, outcome_words(ending, self._steps))
         self._writer.close()
-
-    def abandon(self) -> None:
-        """Stop without marking the bag as complete; keeps what was written."""
-        self._writer.abandon()
-
-    def _write(self, seq: int, messages: Iterable[Said]) -> None:
-        for topic, cdr in messages:
-            name = _BAG_NAMES[topic.name]
-            self._writer.write(name, self._canonical.message(name, cdr), seq * CONTROL_PERIOD_NS)
 
 
 def write_run(

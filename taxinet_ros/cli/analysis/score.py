@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +13,9 @@ from rich.table import Table
 from taxinet_ros.cli.completion import complete_perception, complete_spec, one_of
 from taxinet_ros.cli.options import (
     JsonOption,
+    MonitorOption,
     PerceptionCommandOption,
+    PerceptionOption,
     ScenarioOption,
     word_of,
 )
@@ -86,9 +87,7 @@ def score(
     aircraft: Annotated[
         str, typer.Option(help='the aircraft that carries it (default: caravan)')
     ] = '',
-    perception: Annotated[
-        str, typer.Option(help='network: a name, or a file', autocompletion=complete_perception)
-    ] = 'taxinet',
+    perception: PerceptionOption = 'taxinet',
     perception_cmd: PerceptionCommandOption = None,
     against: Annotated[
         str | None, typer.Option(help='second network, compared frame by frame',
@@ -116,10 +115,7 @@ def score(
             autocompletion=complete_spec,
         ),
     ] = None,
-    monitor: Annotated[
-        str, typer.Option(metavar='MONITOR', help='run-time monitor that judges each estimate, as '
-                          'of `taxinet run --monitor`')
-    ] = '',
+    monitor: MonitorOption = None,
     topics: Annotated[
         bool, typer.Option('--topics', help='list the topics and what each can be used for')
     ] = False,
@@ -157,7 +153,7 @@ def score(
     options = ScoreOptions(
         bags=tuple(bags), perception=word_of(context, 'perception'), against=against or '',
         place=place, track=track, image=image, camera=camera, aircraft=aircraft, latency=latency,
-        specs=tuple(spec or ()), monitor=monitor, source=_source(
+        specs=tuple(spec or ()), monitor=monitor or '', source=_source(
             truth, heading, heading_is, heading_offset, frame, antenna, stamps),
     )
     if out is not None:
@@ -167,13 +163,14 @@ def score(
     if simulate and perception_cmd:
         raise UsageError('--simulate: not with --perception-cmd; play it into the node in a graph')
     with stage_bars(Console(stderr=True)) as show:
-        found = score_bags(options, show, _play if perception_cmd else None)
-    gap, extra = _rendered(found, settings or [], metar) if simulate else ('', {})
+        found = score_bags(options, show, _player() if perception_cmd else None)
+    if simulate:
+        _simulate(found, settings or [], metar)
     if out is None:
-        report = score_report(found, gap, extra)
+        report = score_report(found)
         values = score_json(found, report)
     else:
-        report, values = write_score(found, out, gap, extra)
+        report, values = write_score(found, out)
     if as_json:
         print_json(values)
     else:
@@ -187,31 +184,20 @@ def score(
     return ExitCode.VIOLATED if violated else ExitCode.OK
 
 
-def _play(word: str, pictures: Any, scene: Any) -> Any:
-    """Play pictures into the node of a command."""
+def _player() -> Any:
     from taxinet_ros.nodes.graph.replay import play_pictures
 
-    with tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as log:
-        return play_pictures(word, pictures, scene, Path(log.name))
+    return play_pictures
 
 
-def _rendered(found: Score, settings: list[str], metar: str) -> tuple[str, dict[str, Any]]:
-    """A sentence on the gap to rendered frames, and its figures."""
-    from taxinet_ros.recordings.rendered import (
-        gap_words,
-        metar_weather,
-        render_beside,
-        rendered_figures,
-        start_scenario,
-    )
+def _simulate(found: Score, settings: list[str], metar: str) -> None:
+    from taxinet_ros.recordings.rendered import metar_weather, render_beside, start_scenario
     from taxinet_ros.trials.options import read_settings
 
     weather, unshown = metar_weather(metar) if metar else ({}, [])
     if unshown:
         found.notes.append(f'--metar: {" ".join(unshown)} is not shown by our world')
-    found.start = start_scenario(found, {**weather, **read_settings(settings)})
-    rendered = render_beside(found, found.start)
-    return gap_words(rendered), {'rendered': rendered_figures(found, rendered)}
+    render_beside(found, start_scenario(found, {**weather, **read_settings(settings)}))
 
 
 def _source(
@@ -246,18 +232,15 @@ def _list_topics(bags: list[Path], as_json: bool) -> int:
 
     found = {str(bag): proposals(bag) for bag in bags}
     if as_json:
-        print_json({
-            bag: [dict(zip(('topic', 'type', 'messages', 'use'), row, strict=True))
-                  for row in rows] for bag, rows in found.items()
-        })
+        print_json(found)
         return ExitCode.OK
-    console = line_console()
-    for bag, rows in found.items():
-        console.print(bag)
-        widths = [max(map(len, map(str, column))) for column in zip(*rows, strict=True)]
-        for row in rows:
-            cells = (f'{word!s:<{width}}' for word, width in zip(row, widths, strict=True))
-            console.print(f'  {"  ".join(cells)}'.rstrip())
+    for bag, topics in found.items():
+        print(bag)
+        widths = [max(len(str(topic[name])) for topic in topics) for name in topics[0]]
+        for topic in topics:
+            cells = (f'{word:<{width}}' for word, width in zip(
+                map(str, topic.values()), widths, strict=True))
+            print(f'  {"  ".join(cells)}'.rstrip())
     return ExitCode.OK
 
 

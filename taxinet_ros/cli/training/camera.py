@@ -14,12 +14,11 @@ from taxinet_ros.cli.options import (
     ScenarioOption,
 )
 from taxinet_ros.cli.training.camera_show import show_camera
-from taxinet_ros.cli.training.labelled_frames import compare
 from taxinet_ros.errors import UsageError
 
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
-camera_app = command_group('Render camera frames, and compare them with labelled images.')
+camera_app = command_group('Describe cameras, and render their frames.')
 
 
 camera_app.command('show')(show_camera)
@@ -76,6 +75,3 @@ def sheet(
     path = new_picture(out, 'camera-sheet')
     write_picture(path, lambda: camera_sheet(scenes, path, camera))
     print(f'sheet: {path}')
-
-
-camera_app.command('compare')(compare)

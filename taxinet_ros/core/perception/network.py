@@ -6,6 +6,7 @@ identically on every processor; torch is used for training only.
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -103,6 +104,30 @@ def usual_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
     size = IMAGE_SHAPE[1], IMAGE_SHAPE[0]
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+PICTURE_FORMATS = 'PNG', 'JPEG', 'BMP', 'TIFF', 'WEBP'
+_EIGHT_BIT = '1', 'L', 'LA', 'P', 'PA', 'RGB', 'RGBA', 'CMYK', 'YCbCr'
+_MOST_PIXELS = 64_000_000
+
+
+def decode_picture(data: bytes) -> NDArray[np.uint8]:
+    """Pixels (height, width, 3) uint8 RGB of a file of one of :data:`PICTURE_FORMATS`.
+
+    Raises:
+        ValueError: it is none, is damaged or too large, or has not 8 bits a channel; in one line.
+    """
+    from PIL import Image  # unlike OpenCV, it prints no messages
+
+    try:
+        with Image.open(io.BytesIO(data), formats=PICTURE_FORMATS) as image:
+            fits = image.width * image.height <= _MOST_PIXELS
+            if fits and image.mode in _EIGHT_BIT:
+                return np.asarray(image.convert('RGB'), np.uint8)
+            found = f'{image.width}x{image.height} {image.mode}'
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise ValueError(f'cannot be read as a picture ({"/".join(PICTURE_FORMATS)})') from error
+    raise ValueError(f'is {found}; expected 8 bits a channel and fewer pixels')
 
 
 def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

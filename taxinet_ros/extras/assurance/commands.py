@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import JsonOption, RunOption
+from taxinet_ros.cli.options import JsonOption
 
 assure_app = command_group(
     'Calibrate run-time monitors, and judge them in the loop (run them: --monitor).',
@@ -105,19 +105,3 @@ def assure_judge(
         ),
         as_json=as_json,
     ))
-
-
-@assure_app.command('show')
-def assure_show(
-    bag: Annotated[Path, typer.Argument(metavar='BAG', help='the bag of a run')],
-    run: RunOption = None,
-    monitor: Annotated[
-        str | None, typer.Option(help="original, taxinet, a file of calibrate, or FILE.py:NAME "
-        "(default: the run's own)")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Say when and why a monitor raises the alarm in a recorded run, to the bit as in the run."""
-    from taxinet_ros.extras.assurance.show import run_show
-
-    raise typer.Exit(run_show(bag, run, monitor, as_json=as_json))

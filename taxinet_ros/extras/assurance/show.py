@@ -1,4 +1,4 @@
-"""``taxinet assure``: calibrate run-time monitors, say how they fare, and what they said."""
+"""``taxinet assure``: calibrate run-time monitors, and say how they fare."""
 
 from __future__ import annotations
 
@@ -14,16 +14,8 @@ from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.cli.show import print_json
-from taxinet_ros.core.assurance.monitor import (
-    SUSTAINED,
-    Calibration,
-    is_monitor_name,
-    make_monitor,
-    monitor_doubts,
-)
-from taxinet_ros.core.assurance.switch import parts_of
-from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.core.assurance.monitor import SUSTAINED, Calibration, monitor_doubts
+from taxinet_ros.errors import ExitCode
 from taxinet_ros.extras.assurance.calibrate import check_share
 from taxinet_ros.extras.assurance.judge import (
     ALARMS_NAME,
@@ -37,9 +29,6 @@ from taxinet_ros.extras.assurance.judge import (
     judge,
     plain_result,
 )
-from taxinet_ros.extras.assurance.recorded import judge_recording
-from taxinet_ros.files.plain_values import plain
-from taxinet_ros.trials.past_runs.repeated_run import readable_run
 
 TEXT = Path(__file__).with_suffix('.j2')
 
@@ -70,41 +59,6 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
     picture = write_png(trade_picture(judged), options.out, LIGHT)
     print(f'{options.out}: {TRIALS_NAME}, {ALARMS_NAME}, {picture.name}, {RESULT_NAME}')
     return code
-
-
-def run_show(bag: Path, run_id: str | None, monitor: str | None, *, as_json: bool) -> int:
-    """Print what a monitor says of a recorded run.
-
-    Args:
-        bag: the bag.
-        run_id: which run, if there are several.
-        monitor: word of the monitor; None: that of the run.
-        as_json: print JSON.
-
-    Raises:
-        UsageError: the run has no monitor of a known path, or cannot be judged again.
-    """
-    with readable_run(bag, run_id) as recording:
-        parts = parts_of(recording.run.controller)
-        if monitor is None and parts is None:
-            raise UsageError(
-                f'{bag}: its controller {recording.run.controller or STEERING} has no monitor; '
-                'name one with --monitor'
-            )
-        word = monitor or (parts.monitor if parts is not None else '')
-        if monitor is None and not is_monitor_name(word):
-            raise UsageError(
-                f'{bag}: its monitor is a file or function of unknown path; name it with --monitor'
-            )
-        found = judge_recording(recording, make_monitor(word))
-    if as_json:
-        alarm = found.alarm and {**plain(found.alarm), 'at_s': found.alarm.at_s}
-        print_json({
-            'monitor': word, 'alarm': alarm, 'largest': found.largest, 'steps': found.steps,
-        })
-        return ExitCode.OK
-    _print('shown', monitor=word, found=found)
-    return ExitCode.OK
 
 
 def _print(macro: str, **values: Any) -> None:

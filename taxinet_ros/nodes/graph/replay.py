@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
@@ -223,7 +224,7 @@ def replay(
 
 
 def play_pictures(
-    word: str, pictures: Iterable[NDArray[np.uint8]], scene: Scene, log: Path
+    word: str, pictures: Iterable[NDArray[np.uint8]], scene: Scene
 ) -> list[TrackingError]:
     """Play pictures into a perception node in lockstep: the next one when its answer has come.
 
@@ -231,7 +232,6 @@ def play_pictures(
         word: ``cmd:COMMAND`` that starts the node, in any language.
         pictures: (H, W, 3) uint8 RGB each, of the scene's camera.
         scene: names camera and aircraft.
-        log: file for the node's output.
 
     Returns:
         Its answers, in order.
@@ -249,9 +249,12 @@ def play_pictures(
         for seq, one in enumerate(pictures)
     )
     words = node_command(word, interface.PERCEPTION) or []
-    with own_domain() as domain, NodeExecutor(domain) as spinning:
+    with (
+        own_domain() as domain, NodeExecutor(domain) as spinning,
+        tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as log,
+    ):
         node = NodeProcess.of_command(
-            interface.PERCEPTION, words, domain=domain, log=log)
+            interface.PERCEPTION, words, domain=domain, log=Path(log.name))
         try:
             player = Player(
                 scenario_message(request), steps, target=interface.PERCEPTION,

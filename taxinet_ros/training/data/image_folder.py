@@ -1,43 +1,93 @@
 """Folders of images with a label table, made by ``taxinet dataset`` or from other sources.
 
 The table is ``labels.parquet`` or ``labels.csv`` with the columns ``image``, ``cte_m`` (left
-positive), ``heading_error_deg`` (nose left positive) and optionally ``distance_m``. An optional
-column ``sha256`` has the digests of the image files, which are then checked.
+positive), ``heading_error_deg`` (nose left positive) and optionally ``distance_m`` along the
+runway, from an arbitrary origin; other columns are ignored. An optional column ``sha256`` has the
+digests of the image files, which are then checked. The labels are checked when they are read,
+images when they are used. Files outside the folder are never opened.
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import io
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from PIL import Image
 
 from taxinet_ros.core.perception.domain import Domain, domain_of_scenes, joined_domains
-from taxinet_ros.core.perception.labelled_frames import LabelledFrame, labelled_frames
-from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
+from taxinet_ros.core.perception.network import INPUT_SHAPE, decode_picture, shrink, usual_frame
 from taxinet_ros.core.perception.weights import Source
 from taxinet_ros.core.scenario_fields import CAMERA, PLACE
+from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.reading import open_regular
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.training.data.dataset import Dataset, Progress, no_progress
 from taxinet_ros.training.data.dataset_folder import FACTS, LABELS
 from taxinet_ros.training.data.unfinished import is_begun
 
 FOREIGN_LABELS = 'labels.csv'
-_DIGEST = 'sha256'
+COLUMNS = ('image', 'cte_m', 'heading_error_deg')
 
 _Row = tuple[int, Mapping[str, object]]
 """Number of a line or row, from 1, and its values by column name."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LabelledFrame:
+    """One image with the true position of the aircraft.
+
+    Attributes:
+        image: name in the labels, relative to the folder.
+        path: the file.
+        truth: true tracking error.
+        distance_m: distance along the runway [m], from the origin of the folder.
+        sha256: digest of the file that the table states, or ''.
+    """
+
+    image: str
+    path: Path
+    truth: TrackingError
+    distance_m: float
+    sha256: str = ''
+
+    def picture(self) -> tuple[NDArray[np.uint8], str]:
+        """The image as a camera frame, (200, 360, 3) uint8 RGB, and its file's digest.
+
+        Raises:
+            UsageError: it is damaged, too small for the network, or has changed.
+        """
+        try:
+            data = self.path.read_bytes()
+        except OSError as error:
+            raise UsageError(f'{self.path}: cannot be read ({error.strerror})') from error
+        digest = hashlib.sha256(data).hexdigest()
+        if self.sha256 and digest != self.sha256:
+            raise UsageError(
+                f'{self.path}: is not the file that the table describes (its SHA-256 differs); '
+                'restore it, or make the dataset again'
+            )
+        try:
+            pixels = decode_picture(data)
+        except ValueError as error:
+            raise UsageError(f'{self.path}: {error}; replace it or delete its row') from error
+        height, width = pixels.shape[:2]
+        if width < INPUT_SHAPE[1] or height < INPUT_SHAPE[0]:
+            raise UsageError(
+                f'{self.path}: has {width}x{height} pixels, fewer than the {INPUT_SHAPE[1]}x'
+                f'{INPUT_SHAPE[0]} that the network sees; replace it or delete its row'
+            )
+        return usual_frame(pixels), digest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,46 +98,21 @@ class ImageFolder:
         path: path of the folder.
         table: label table.
         frames: images and labels, in the order of the table.
-        digests: digests of the image files from the table; empty if it has none.
     """
 
     path: Path
     table: Path
     frames: tuple[LabelledFrame, ...]
-    digests: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def picture(self, row: int) -> tuple[NDArray[np.uint8], str]:
-        """One image as a camera frame, (200, 360, 3) uint8 RGB, and its file's digest.
-
-        Raises:
-            UsageError: it is damaged, too small for the network, or has changed.
-        """
-        frame = self.frames[row]
-        where = f'{self.table}: row {row + 1}: image {frame.image!r}'
+        """As :meth:`LabelledFrame.picture`; an error names the row, too."""
         try:
-            found = hashlib.sha256(frame.path.read_bytes()).hexdigest()
-        except OSError as error:
-            raise UsageError(f'{where} cannot be read ({error.strerror})') from error
-        if self.digests and found != self.digests[row]:
-            raise UsageError(
-                f'{where} is not the file that the table describes (its SHA-256 differs); '
-                'restore it, or make the dataset again'
-            )
-        try:
-            picture = frame.picture()
+            return self.frames[row].picture()
         except UsageError as error:
-            raise UsageError(f'{where}: {error}') from error
-        with Image.open(frame.path) as image:
-            width, height = image.size
-        if width < INPUT_SHAPE[1] or height < INPUT_SHAPE[0]:
-            raise UsageError(
-                f'{where} has {width}x{height} pixels, fewer than the {INPUT_SHAPE[1]}x'
-                f'{INPUT_SHAPE[0]} that the network sees; replace it or delete its row'
-            )
-        return picture, found
+            raise UsageError(f'{self.table}: row {row + 1}: {error}') from error
 
     def source(self, digests: Sequence[str]) -> Source:
         """The folder's entry in a model card, from the digests of all images."""
@@ -105,19 +130,71 @@ def open_folder(path: Path) -> ImageFolder:
         UsageError: one line on the first error: file, row and correction.
     """
     table = _table(path)
-    rows = list(_parquet_rows(table) if table.suffix == '.parquet' else _csv_rows(table))
-    frames = labelled_frames(path, [(number, _complete(row)) for number, row in rows], str(table))
-    lines: dict[str, int] = {}
-    for (number, _), frame in zip(rows, frames, strict=True):
-        name = os.path.normpath(frame.image)
-        if name in lines:
+    frames, lines = [], dict[str, int]()
+    for number, row in _rows(table):
+        where = f'{table} line {number}'
+        frame = _frame(path, row, where)
+        before = lines.setdefault(os.path.normpath(frame.image), number)
+        if before != number:
             raise UsageError(
-                f'{table} line {number}: image {frame.image!r} is already in line {lines[name]}; '
-                'delete one of them'
+                f'{where}: image {frame.image!r} is already in line {before}; delete one of them'
             )
-        lines[name] = number
-    digests = tuple(str(row[_DIGEST]) for _, row in rows if _DIGEST in row)
-    return ImageFolder(path=path, table=table, frames=frames, digests=digests)
+        frames.append(frame)
+    if not frames:
+        raise UsageError(f'{table}: lists no frames; write one line per frame')
+    return ImageFolder(path=path, table=table, frames=tuple(frames))
+
+
+def _frame(folder: Path, row: Mapping[str, object], where: str) -> LabelledFrame:
+    for column in COLUMNS:
+        if column not in row:
+            given = ', '.join(str(name) for name in row if name is not None)
+            raise UsageError(f'{where}: no column {column}; there are {given}; add or rename one')
+    row = {'distance_m': 0.0, 'sha256': '', **row}
+    heading_deg = _number(row, 'heading_error_deg', where)
+    if abs(heading_deg) > 180:
+        raise UsageError(
+            f'{where}: heading_error_deg is {heading_deg:g}, outside -180..180; it is relative to '
+            'the runway, nose left positive'
+        )
+    image = str(row['image']).strip()
+    return LabelledFrame(
+        image=image, path=_inside(folder, image, where), sha256=str(row['sha256']),
+        truth=TrackingError(cte_m=_number(row, 'cte_m', where), he_rad=math.radians(heading_deg)),
+        distance_m=_number(row, 'distance_m', where),
+    )
+
+
+def _number(row: Mapping[str, object], column: str, where: str) -> float:
+    try:
+        value = float(str(row[column]))
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(
+            f'{where}: {column} is {str(row[column])!r}, not a finite number; correct it, complete '
+            'the line or delete it'
+        )
+    return value
+
+
+def _inside(folder: Path, image: str, where: str) -> Path:
+    """Path of an image, which must be inside the folder after links are resolved."""
+    path = folder / image
+    try:
+        outside = not path.resolve().is_relative_to(folder.resolve())
+        missing = not path.is_file()
+    except (OSError, RuntimeError, ValueError):  # invalid name, or circular links
+        outside, missing = False, True
+    if outside:
+        raise UsageError(
+            f'{where}: image {image!r} lies outside {folder}; use paths below that folder'
+        )
+    if missing:
+        raise UsageError(
+            f'{where}: image {image!r} is not in {folder}; add the file or delete the line'
+        )
+    return path
 
 
 def folders_domain(paths: Sequence[Path]) -> Domain | None:
@@ -130,7 +207,7 @@ def folders_domain(paths: Sequence[Path]) -> Domain | None:
     for path in paths:
         table = _table(path)
         ours = table.suffix == '.parquet'
-        rows: Any = _read(table, partial(pd.read_parquet, table)).to_dict('records') if ours else ()
+        rows: Any = [row for _, row in _rows(table)] if ours else []
         whole = all(PLACE.key in row and CAMERA.key in row for row in rows)
         domains.append(domain_of_scenes(rows) if rows and whole else None)
     return joined_domains(domains)
@@ -190,7 +267,7 @@ def _table(folder: Path) -> Path:
         raise UsageError(
             f'{folder}: this dataset is unfinished; continue it with taxinet dataset --resume'
         )
-    found = [folder / name for name in (LABELS, FOREIGN_LABELS) if (folder / name).is_file()]
+    found = [folder / name for name in (LABELS, FOREIGN_LABELS) if (folder / name).exists()]
     if not found:
         raise UsageError(
             f'{folder}: contains neither {LABELS} nor {FOREIGN_LABELS}; write one with the columns '
@@ -218,34 +295,17 @@ def _check_digest(folder: Path, table: Path) -> None:
         )
 
 
-def _complete(row: Mapping[str, object]) -> Mapping[str, object]:
-    """A row with the optional distance filled in, which is not used for training."""
-    return row if 'distance_m' in row else {**row, 'distance_m': 0.0}
-
-
-def _parquet_rows(table: Path) -> Iterator[_Row]:
-    frame = _read(table, lambda: pd.read_parquet(table))
-    for number, row in enumerate(frame.to_dict('records'), 1):
-        yield number, {str(name): 'nothing' if _is_gap(v) else v for name, v in row.items()}
-
-
-def _is_gap(value: object) -> bool:
-    return value is None or value is pd.NA
-
-
-def _csv_rows(table: Path) -> Iterator[_Row]:
-    def lines() -> list[_Row]:
-        with table.open(encoding='utf-8-sig', newline='') as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
+def _rows(table: Path) -> list[_Row]:
+    """Numbers of rows or lines, and their values by column."""
+    try:
+        with open_regular(table) as file:
+            if table.suffix == '.parquet':
+                rows: list[Any] = pd.read_parquet(file).to_dict('records')
+                return list(enumerate(rows, 1))
+            text = io.TextIOWrapper(file, encoding='utf-8-sig', newline='')
+            reader = csv.DictReader(text, skipinitialspace=True)
             reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
             return [(reader.line_num, row) for row in reader]
-
-    yield from _read(table, lines)
-
-
-def _read(table: Path, read: Callable[[], Any]) -> Any:
-    try:
-        return read()
     except (OSError, ValueError, csv.Error) as error:
         reason = ' '.join(str(error).split())[:120]
         raise UsageError(f'{table}: cannot be read ({reason}); write it again') from error

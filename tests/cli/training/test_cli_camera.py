@@ -1,8 +1,7 @@
-"""``taxinet camera``: frames, sheets and comparisons as people ask for them."""
+"""``taxinet camera``: frames and sheets as people ask for them."""
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from PIL import Image
 
 from taxinet_ros.analysis.camera.sheets import scene_picture
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 
 pytestmark = pytest.mark.nightly
@@ -35,22 +33,6 @@ def taxinet(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
         return code, *capsys.readouterr()
 
     return call
-
-
-@pytest.fixture(scope='module')
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three frames of our own camera in the form of foreign ones, one twice the size."""
-    folder = tmp_path_factory.mktemp('drive')
-    lines = ['image,cte_m,heading_error_deg,distance_m']
-    for k, (cte, heading, distance) in enumerate(((-3, 5, 971), (0, -8, 990), (4, 0, 1010))):
-        pose = {'cross_track': cte, 'heading': heading, 'distance': distance, 'time_of_day': 10}
-        picture = Image.fromarray(scene_picture(scenario_from_human(pose)))
-        if k == 2:
-            picture = picture.resize((720, 400))
-        picture.save(folder / f'{k}.png')
-        lines.append(f'{k}.png,{cte},{heading},{distance}')
-    (folder / 'labels.csv').write_text('\n'.join(lines))
-    return folder
 
 
 def picture_of(path: str) -> np.ndarray:
@@ -97,50 +79,7 @@ def holds(sheet: np.ndarray, tile: np.ndarray) -> bool:
     return any((sheet[y : y + height, x : x + width] == tile).all() for y, x in corners)
 
 
-def test_given_frames_when_compared_then_there_are_a_table_and_a_sheet(taxinet, drive):
-    before = sorted(drive.iterdir())
-    code, out, err = taxinet('compare', str(drive))
-    assert (code, err) == (0, '')
-    assert 'cross-track, m' in out
-    assert 'heading, deg' in out
-    assert '3 frames, 0 without estimate; perception taxinet' in out
-    name = f'bags/camera-compare-{drive.name}.png'
-    assert out.endswith(f'sheet: {name}\n')
-    sheet = picture_of(name)
-    assert holds(sheet, picture_of(str(drive / '0.png')))
-    assert sorted(drive.iterdir()) == before
-
-
-def test_given_json_when_compared_then_stdout_is_one_object_and_stderr_names_the_sheet(
-    taxinet, drive,
-):
-    code, out, err = taxinet('compare', str(drive), '--json', '--out', 'c.png',
-                             '--set', 'time_of_day=10', '--distance-offset', '2')  # fmt: skip
-    assert (code, err) == (0, 'sheet: c.png\n')
-    values = json.loads(out)
-    assert (values['frame_count'], values['without_estimate']) == (3, 0)
-    assert [frame['image'] for frame in values['frames']] == ['0.png', '1.png', '2.png']
-    assert [frame['cte_m'] for frame in values['frames']] == [-3, 0, 4]
-    seen = make_perception('taxinet').estimate(picture_of(str(drive / '0.png')), None)
-    assert values['frames'][0]['cte_estimate_m'] == pytest.approx(seen.cte_m)
-    errors = [abs(frame['cte_estimate_m'] - frame['cte_m']) for frame in values['frames']]
-    assert values['cte_mae_m'] == pytest.approx(np.mean(errors))
-    assert values['mean_predictor_cte_mae_m'] == pytest.approx(22 / 9)
-    low, high = values['heading_error_mae_deg_95']
-    assert low <= values['heading_error_mae_deg'] <= high
-    assert len(values['weights_sha256']) == 64
-    assert (values['sheet'], values['distance_offset_m']) == ('c.png', 2)
-
-
 BAD = {
-    'truth': (['compare', 'DRIVE', '--perception', 'truth'], 'uses no camera image'),
-    'unknown perception': (['compare', 'DRIVE', '--perception', 'tru'], 'known: truth, taxinet'),
-    'no folder': (['compare', 'nowhere'], 'nowhere: no such folder'),
-    'no labels': (['compare', '.'], 'labels.csv: no such file'),
-    'pose set twice': (['compare', 'DRIVE', '--set', 'heading=3'], 'heading_deg: given by the'),
-    'bad light': (['compare', 'DRIVE', '--set', 'clouds=fog'], "clouds is 'fog'"),
-    'off our runway': (['compare', 'DRIVE', '--distance-offset', '9000'], '--distance-offset'),
-    'no number': (['compare', 'DRIVE', '--distance-offset', 'nan'], 'a finite number'),
     'no key': (['frame', '--set', 'clouds'], 'expected key=value'),
     'unknown key': (['frame', '--set', 'cloud=clear'], "unknown key 'cloud'"),
     'key twice': (['frame', '--set', 'rain=1', '--set', 'rain=2'], 'rain is given twice'),
@@ -158,10 +97,10 @@ BAD = {
 
 @pytest.mark.parametrize('case', BAD)
 def test_given_a_mistake_then_one_line_says_what_and_nothing_is_written(
-    case, taxinet, drive, tmp_path,
+    case, taxinet, tmp_path,
 ):
     words, expected = BAD[case]
-    code, out, err = taxinet(*(str(drive) if word == 'DRIVE' else word for word in words))
+    code, out, err = taxinet(*words)
     assert (code, out) == (2, '')
     (line,) = err.strip().splitlines()
     assert line.startswith('taxinet: error: ')
@@ -181,5 +120,5 @@ def test_given_a_file_that_exists_then_it_is_left_alone(taxinet, tmp_path):
 def test_given_no_word_then_the_commands_are_listed(taxinet):
     code, out, _ = taxinet()
     assert code == 0
-    for command in ('frame', 'sheet', 'compare'):
+    for command in ('frame', 'sheet'):
         assert f'  {command} ' in out

@@ -1,7 +1,6 @@
 """How a monitor is judged: known answers of counts, times, rates and bounds, and a small study."""
 
 import contextlib
-import dataclasses
 import json
 import math
 import sqlite3
@@ -38,8 +37,10 @@ from taxinet_ros.extras.assurance.judge import (
     summarize,
     trade_of,
 )
-from taxinet_ros.extras.assurance.show import TEXT, run_judge, run_show
+from taxinet_ros.extras.assurance.show import TEXT, run_judge
 from taxinet_ros.files.record import RECORD_NAME, read_record
+from taxinet_ros.recordings.score import ScoreOptions, score
+from taxinet_ros.recordings.truth import TruthSource
 
 
 def no_progress(stage, done, total):
@@ -307,7 +308,9 @@ def test_given_a_monitor_that_ends_its_process_then_that_scene_is_left_out_by_na
 
 def test_given_a_recorded_run_then_its_monitor_says_the_same_again(tmp_path, capsys):
     (tmp_path / 'mon.py').write_text(
-        'def far(seen):\n    return abs(seen.estimate.cte_m) / 0.9 + seen.image.mean() * 1e-9\n'
+        'def far(seen):\n'
+        '    seen_m = abs(seen.estimate.cte_m) + abs(seen.command.steering_rad)\n'
+        '    return seen_m / 0.9 + seen.image.mean() * 1e-9\n'
     )
     controller = make_controller(f'steering+{tmp_path}/mon.py:far+slow', SteeringGains())
     run = tx.run(
@@ -317,18 +320,14 @@ def test_given_a_recorded_run_then_its_monitor_says_the_same_again(tmp_path, cap
     assert controller.alarm is not None
     assert controller.alarm.step > 3
     bag = run.save_bag(tmp_path / 'bag')
-    with pytest.raises(UsageError, match='unknown path; name it with --monitor'):
-        run_show(bag, None, None, as_json=False)
-    assert run_show(bag, None, f'{tmp_path}/mon.py:far', as_json=True) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told['alarm'] == {
-        **dataclasses.asdict(controller.alarm), 'at_s': controller.alarm.at_s
-    }
-    plain = tx.run(tx.Scenario(duration_s=0.3), perception='truth').save_bag(tmp_path / 'plain')
-    with pytest.raises(UsageError, match='controller steering has no monitor; name one'):
-        run_show(plain, None, None, as_json=False)
-    assert run_show(plain, None, 'taxinet', as_json=False) == 0
-    assert 'monitor taxinet: no alarm, 4 steps judged' in capsys.readouterr().out
+    found = score(ScoreOptions(
+        bags=(bag,), source=TruthSource(topic=''), perception='taxinet',
+        monitor=f'{tmp_path}/mon.py:far'))
+    assert found.alarms is not None
+    assert found.alarms['first_s'] == controller.alarm.at_s
+    assert set(found.alarms['reasons']) == {controller.alarm.reason}
+    assert found.alarms['frames'] == 21
+    assert not found.alarms['derived']
 
 
 @pytest.mark.parametrize(('changed', 'said'), [

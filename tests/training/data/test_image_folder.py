@@ -81,6 +81,18 @@ def test_given_two_folders_when_loaded_then_rows_follow_and_digests_tell_content
     assert len({sources[0].sha256, other, another}) == 3
 
 
+def test_given_labels_when_read_then_units_are_si_and_order_and_signs_are_kept(tmp_path: Path):
+    folder = foreign_folder(tmp_path / 'f', images=2)
+    lines = ('\ufeffdistance_m, image ,note,heading_error_deg, cte_m',
+             '7, photo_1.png,"x, y",30, -2.5', '48.5,photo_0.png,,-90,1', '')
+    (folder / 'labels.csv').write_bytes('\r\n'.join(lines).encode())  # as a spreadsheet does
+    first, second = open_folder(folder).frames
+    assert (first.image, second.image) == ('photo_1.png', 'photo_0.png')
+    assert (first.truth.cte_m, first.truth.he_rad) == (-2.5, pytest.approx(np.pi / 6))
+    assert (second.truth.cte_m, second.truth.he_rad) == (1.0, pytest.approx(-np.pi / 2))
+    assert (first.distance_m, second.distance_m) == (7.0, 48.5)
+
+
 def nan_in_parquet(folder: Path) -> None:
     as_parquet(folder, cte_m=[0.0, 1.0, float('nan')])
 
@@ -98,6 +110,15 @@ def wrong_digest(folder: Path) -> None:
     digests = [hashlib.sha256((folder / f'photo_{i}.png').read_bytes()) for i in range(3)]
     as_parquet(folder, sha256=[digest.hexdigest() for digest in digests])
     cv2.imwrite(str(folder / 'photo_2.png'), coloured_frame(7))
+
+
+def sixteen_bits(folder: Path) -> None:
+    cv2.imwrite(str(folder / 'photo_0.png'), coloured_frame(0)[..., 0].astype(np.uint16) * 257)
+
+
+def link_outside(folder: Path) -> None:
+    (folder / 'photo_0.png').unlink()
+    (folder / 'photo_0.png').symlink_to(folder.parent / 'other.png')
 
 
 def with_text(text: str) -> Callable[[Path], object]:
@@ -134,6 +155,22 @@ CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
         'line 4', 'already in line 2',
     ),
     'image outside': (with_text(f'{HEAD}../other.png,1,1\n'), 'line 2', 'outside'),
+    'image at an absolute path': (with_text(f'{HEAD}/etc/hostname,1,1\n'), 'line 2', 'outside'),
+    'image behind a link': (link_outside, 'line 2', 'outside'),
+    'impossible name': (with_text(f'{HEAD}a\0.png,1,1\n'), 'line 2', 'is not in'),
+    'no name': (with_text(f'{HEAD},1,1\n'), 'line 2', "image '' is not in"),
+    'a folder': (with_text(f'{HEAD}.,1,1\n'), 'line 2', "image '.' is not in"),
+    'infinite': (with_text(f'{HEAD}photo_0.png,1,inf\n'), 'line 2', 'not a finite number'),
+    'empty value': (with_text(f'{HEAD}photo_0.png,,1\n'), 'line 2', "cte_m is '', not a finite"),
+    'absolute heading': (with_text(f'{HEAD}photo_0.png,1,234\n'), 'line 2', 'outside -180..180'),
+    'other columns': (
+        with_text('image,cte,heading_error_deg\nphoto_0.png,1,1\n'), 'line 2',
+        'no column cte_m; there are image, cte',
+    ),
+    'sixteen bits': (sixteen_bits, 'row 1', 'is 360x200'),
+    'image empty': (
+        lambda f: (f / 'photo_0.png').write_bytes(b''), 'row 1', 'cannot be read as a picture',
+    ),
     'image changed': (wrong_digest, 'row 3', 'SHA-256'),
     'not finished': (lambda f: (f / 'progress.db').write_text('{}'), '', 'taxinet dataset'),
     'facts damaged': (
@@ -148,7 +185,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
 
 @pytest.mark.parametrize('case', CASES)
 def test_given_a_bad_folder_when_loaded_then_one_line_says_what_where_and_how_to_fix_it(
-    case: str, tmp_path: Path
+    case: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     folder = foreign_folder(tmp_path / 'f', images=3)
     cv2.imwrite(str(tmp_path / 'other.png'), coloured_frame(1))
@@ -162,6 +199,7 @@ def test_given_a_bad_folder_when_loaded_then_one_line_says_what_where_and_how_to
     assert where in message
     assert reason in message
     assert '\n' not in message
+    assert capfd.readouterr() == ('', '')
 
 
 def test_given_no_folder_when_opened_then_one_line_says_so(tmp_path: Path) -> None:
