@@ -40,6 +40,7 @@ from taxinet_ros.core.scenario_fields import (
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
+    is_point,
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.values import OVERRIDES
@@ -253,6 +254,9 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     field = BY_KEY.get(key)
     if not place and field is TRACK:
         field.checked(value)
+        return
+    if field is not None and is_point(key):
+        field.checked(field.from_human(value))
         return
     if not place and field is not None and field.anywhere is not None:
         field.checked(field.from_human(value), field.anywhere)

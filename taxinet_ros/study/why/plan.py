@@ -19,7 +19,14 @@ from taxinet_ros.analysis.explain.counterfactual import Factor, factors, run_fac
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import (
+    CAMERA_OFFSETS,
+    FAULTS,
+    FORM,
+    PUSHING_FIELDS,
+    RAIN_CLOUDS,
+    split_point,
+)
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import scenario_program
@@ -179,7 +186,12 @@ def blamed_change(scenario: Scenario, name: str) -> Change | None:
     if name not in known:
         return None
     before, after = scenario.to_human(), known[name].scenario.to_human()
-    values = {key: value for key, value in after.items() if value != before[key]}
+    values = {key: value for key, value in after.items() if value != before.get(key)}
+    # Without its control points, a value stays as it is at the start.
+    values |= {
+        name: after[split_point(name)[0]] for name in before.keys() - after.keys()
+        if split_point(name)[1] != FORM
+    }
     return Change(words=known[name].words, values=_possible(values))
 
 
