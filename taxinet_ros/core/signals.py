@@ -144,8 +144,7 @@ def signals_of(text: str) -> Mapping[str, Signal]:
     found = {}
     for key in dict.fromkeys(split_point(name)[0] for name in points):
         own = {split_point(name)[1]: name for name in points if split_point(name)[0] == key}
-        usual = LINEAR if BY_KEY[key].kind is Kind.NUMBER else CONSTANT
-        form = points.get(own.pop(FORM, ''), usual)
+        form = points.get(own.pop(FORM, ''), _usual_form(key))
         found[key] = Signal(
             times_ns=tuple(round(float(time) * NS_PER_S) for time in own),
             values=tuple(BY_KEY[name].from_human(points[name]) for name in own.values()),
@@ -172,7 +171,8 @@ def checked_signals(values: Mapping[str, Any], duration_s: float) -> str:
             raise UsageError(f'scenario: {name} is after the end of the run at {duration_s:g} s')
         if part == FORM and sum(split_point(other)[0] == key for other in values) < 2:
             raise UsageError(f'scenario: {name} has no effect without a control point, as {key}@5')
-        found[name] = field.to_human(value)
+        if part != FORM or value != _usual_form(key):
+            found[name] = field.to_human(value)
     return json.dumps(found, separators=(',', ':')) if found else ''
 
 
@@ -181,6 +181,10 @@ def kept_signals(text: str, fields: Collection[ScenarioField]) -> str:
     keys = {field.key for field in fields}
     kept = {name: value for name, value in points_of(text).items() if split_point(name)[0] in keys}
     return json.dumps(kept, separators=(',', ':')) if kept else ''
+
+
+def _usual_form(key: str) -> str:
+    return LINEAR if BY_KEY[key].kind is Kind.NUMBER else CONSTANT
 
 
 def _place(name: str) -> tuple[int, float]:

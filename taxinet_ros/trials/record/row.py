@@ -341,7 +341,8 @@ class RunRow:
 def scene_attributes(scenario: Scenario) -> dict[str, Any]:
     """A scenario as attributes of a row."""
     values = scenario.to_human()
-    return {**values, 'signals': {name: values.pop(name) for name in scenario.points}}
+    signals = {name: values.pop(name) for name in scenario.points}
+    return {**values, 'signals': signals}
 
 
 _NOTHING = object()
