@@ -129,9 +129,10 @@ def points_of(text: str) -> Mapping[str, Any]:
         UsageError: it is not the JSON of such.
     """
     try:
-        values = by_key(load_json(text)) if text else {}
+        values = load_json(text) if text else {}
     except ValueError as error:
         raise UsageError(f'scenario: signals is no JSON of control points: {error}') from None
+    values = by_key(values) if isinstance(values, dict) else {text: None}
     if unknown := next((name for name in values if not is_point(name)), None):
         raise UsageError(f'scenario: signals: {unknown!r:.80} is no control point')
     return MappingProxyType(values)
