@@ -132,7 +132,7 @@ def rain_notes(params: Mapping[str, Parameter]) -> tuple[str, ...]:
 
 def _check_name(name: str) -> None:
     try:
-        key = key_of(name, ())
+        key = next(iter(by_key({name: None})))
     except UsageError as error:
         raise UsageError(f'param {str(error).removeprefix("scenario: ")}') from None
     if key in PLANE_KEYS:

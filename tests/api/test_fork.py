@@ -100,7 +100,7 @@ def test_given_a_run_with_signals_then_they_go_on_in_a_fork_and_may_be_changed_t
         'steering_bias_deg': (0.0, 3.0), 'steering_bias_deg@2': (3.0, None)}
     with pytest.raises(tx.UsageError, match='loop_delay_s cannot change during a run'):
         run.fork(1.2, settings={'loop_delay_s@2': 0.5})
-    with pytest.raises(tx.UsageError, match='wind_speed_mps@1 is 9.0 m/s in the run already'):
+    with pytest.raises(tx.UsageError, match=r'wind_speed_mps@1 is 9\.0 m/s in the run already'):
         run.fork(1.2, settings={'wind_speed@1': 9})
 
 

@@ -2,8 +2,6 @@
 
 import dataclasses
 
-import pytest
-
 import taxinet_ros as tx
 from taxinet_ros.trials.past_runs.judged_run import find_run
 

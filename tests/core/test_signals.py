@@ -29,7 +29,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.signals import VARYING, Signal
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
-from taxinet_ros.core.world import SimulatedWorld
+from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.record.row import RunRow, scene_attributes
 from taxinet_ros.trials.record.table import table
@@ -291,13 +291,10 @@ def test_given_a_bag_then_it_repeats_the_run_to_the_bit(tmp_path_factory, middle
     assert tx.run(scene).trace.equals(run.trace)
 
 
-def test_given_another_world_then_what_it_would_not_change_is_refused_by_name(monkeypatch):
-    from taxinet_ros.core import world
-
+def test_given_another_world_then_what_it_would_not_change_is_refused_by_name():
     class Extension:
-        words, shipped, failure = 'world still of package', True, str
+        words, failure = 'world still of package', str
 
-    made = world._PluginWorld
     scene = scenario_from_human({'wind_speed@5': 3, 'steering_bias@5': 3})
-    with pytest.raises(UsageError, match=r'world still of package: wind_speed_mps@5 would have no '):
-        made(Extension(), lambda scenario, pictures: None, scene)
+    with pytest.raises(UsageError, match='of package: wind_speed_mps@5 would have no effect'):
+        _PluginWorld(Extension(), lambda scenario, pictures: None, scene)

@@ -447,7 +447,7 @@ def test_t5_given_a_cause_at_a_control_point_then_it_is_named_and_its_program_dr
     assert re.fullmatch(r'wind above 1[12]\.\d m/s at 2\.5 s', cause.region.words())
     runs.facts.update(FACTS, program_text=(
         '# --- gusty.scenic ---\nmodel runway_world\nego = new Plane at (0, 400)\n'
-        f"param 'wind_speed@2.50' = Range(0, 20)\n"
+        "param 'wind_speed@2.50' = Range(0, 20)\n"
     ))
     program = tmp_path / 'cause.scenic'
     program.write_text(cause_program(runs, cause))
