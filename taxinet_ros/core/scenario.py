@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from taxinet_ros.arguments import told
 from taxinet_ros.core.datarefs import NO_DATAREFS, Number, find_datarefs
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
 from taxinet_ros.core.place.place import AirportGround
@@ -237,12 +238,14 @@ class Scenario:
 
     def _take_signals_apart(self) -> None:
         """Split datarefs as the message has them from the control points that they carry."""
-        if '@' not in self.datarefs or not self.datarefs.startswith('{'):
+        if not isinstance(self.signals, str):
+            raise UsageError(f'scenario: signals is {told(self.signals)}, not a text')
+        if '@' not in str(self.datarefs) or not str(self.datarefs).startswith('{'):
             return
         try:
             values = dict(load_json(self.datarefs))
-        except ValueError:
-            return  # the datarefs say so
+        except (TypeError, ValueError):
+            return  # which is refused as no datarefs
         points = {name: values.pop(name) for name in list(values) if is_point(name)}
         object.__setattr__(self, DATAREFS.attribute, json.dumps(values) if values else NO_DATAREFS)
         object.__setattr__(self, 'signals', json.dumps({**self.points, **points}))

@@ -20,6 +20,7 @@ from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
     CAMERA_OFFSETS,
     FAULTS,
     FORM,
@@ -204,6 +205,7 @@ def region_change(region: Region) -> Change | None:
     words = []
     absent = {field.key: field for field in (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)}
     for part in region.parts:
+        key, later = split_point(part.feature) if isinstance(part, Interval | Kinds) else ('', '')
         if isinstance(part, Interval) and part.feature == 'rain_percent' and part.low:
             values['rain_percent'] = 0.0
             words.append('dry')
@@ -213,10 +215,9 @@ def region_change(region: Region) -> Change | None:
         elif isinstance(part, Kinds) and part.feature == 'clouds' and 'clear' not in part.kinds:
             values['clouds'] = 'clear'
             words.append('under a clear sky')
-        elif isinstance(part, Interval | Kinds) and part.feature in absent:
-            field = absent[part.feature]
-            values[field.key] = field.to_human(field.absent)
-            words.append(f'without {field.title}')
+        elif isinstance(part, Interval | Kinds) and key in absent and later != FORM:
+            values[part.feature] = absent[key].to_human(absent[key].absent)
+            words.append(f'without {BY_KEY[part.feature].title}')
     return Change(words=', '.join(words), values=_possible(values)) if values else None
 
 
