@@ -195,7 +195,8 @@ def _scenario_key(field: ScenarioField, default: Any) -> list[str]:
     shown = field.to_human(default)
     shown = {True: 'on', False: 'off'}[shown] if field.kind is Kind.SWITCH else shown
     shown = f'{shown:g}' if isinstance(shown, float) else str(shown)
-    return [f'`{field.key}`', may_be, shown, field.title]
+    later = '; may change within a run' * field.varies
+    return [f'`{field.key}`', may_be, shown, f'{field.title}{later}']
 
 
 def columns() -> str:

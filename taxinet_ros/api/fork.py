@@ -53,6 +53,7 @@ from taxinet_ros.core.scenario_fields import (
     HUMAN_KEYS,
     along_words,
     by_key,
+    is_point,
 )
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, yaw_of
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -264,14 +265,20 @@ def _changed(before: Scenario, scene: Mapping[str, Any]) -> Scenario:
                 f'fork: unknown key {key!r}{near_miss(key, HUMAN_KEYS)}; known: '
                 f'{", ".join(HUMAN_KEYS)}, steering.<gain>'
             )
-    after = dataclasses.replace(before, **{
-        BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()
-    })
+    # A value from now on is in place of the control points that the run had.
+    kept = before.without_signals(*(BY_KEY[key] for key in values))
+    after = dataclasses.replace(before, **{'signals': kept, **{
+        BY_KEY[key].attribute: value if is_point(key) else BY_KEY[key].from_human(value)
+        for key, value in values.items()
+    }})
     check_changeable(before, after)
     for key in values:
-        now = getattr(after, BY_KEY[key].attribute)
-        if getattr(before, BY_KEY[key].attribute) == now:
-            words = BY_KEY[key].value_words(BY_KEY[key].to_human(now))
+        same = before.points.get(key) == after.points.get(key) if is_point(key) else (
+            getattr(before, BY_KEY[key].attribute) == getattr(after, BY_KEY[key].attribute)
+            and kept == before.signals
+        )
+        if same:
+            words = BY_KEY[key].value_words(after.to_human()[key])
             raise UsageError(f'fork: {key} is {words} in the run already; leave it out')
     return after
 

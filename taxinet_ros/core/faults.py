@@ -12,7 +12,12 @@ import dataclasses
 import numpy as np
 
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import PICTURE_FAULTS
+from taxinet_ros.core.scenario_fields import (
+    LOOP_DELAY,
+    LOOP_JITTER,
+    PICTURE_FAULTS,
+    STEERING_BIAS,
+)
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.errors import UsageError
 
@@ -29,7 +34,7 @@ def check_free(scenario: Scenario) -> None:
     Raises:
         UsageError: the scenario delays the loop.
     """
-    if scenario.loop_delay_s or scenario.loop_jitter_s:
+    if not {LOOP_DELAY, LOOP_JITTER}.isdisjoint(scenario.faults):
         raise UsageError(
             'loop_delay_s, loop_jitter_s: no effect in a free run, which has real delays'
         )
@@ -55,7 +60,8 @@ def shown_step(scenario: Scenario, seq: int, period_ns: int) -> int:
 
 def loop_delay_ns(scenario: Scenario, stamp_ns: int) -> int:
     """Additional time [ns] until the answer to the frame of a simulated time takes effect."""
-    delay_s, jitter_s = scenario.loop_delay_s, scenario.loop_jitter_s
+    delay_s: float = scenario.at(LOOP_DELAY, stamp_ns)
+    jitter_s = scenario.loop_jitter_s
     if not (delay_s or jitter_s) or not begun(scenario, stamp_ns):
         return 0
     if jitter_s:
@@ -84,20 +90,21 @@ class SteeringFaults:
             wheel_rad: angle of the wheel until now [rad].
         """
         self._scenario, self._max_rad = scenario, max_steering_rad
-        self._bias_rad = scenario.steering_bias_rad
+        self._biased = scenario.ever(STEERING_BIAS)
         rate_radps = scenario.steering_rate_limit_radps
         self._max_step_rad = rate_radps * period_ns / NS_PER_S
         self._wheel_rad = _clip(wheel_rad, max_steering_rad)
 
     def apply(self, command: TaxiCommand, stamp_ns: int) -> TaxiCommand:
         """What the aircraft obeys from ``stamp_ns`` on; call once per step, in order."""
-        if not (self._bias_rad or self._max_step_rad):
+        if not (self._biased or self._max_step_rad):
             return command
         told_rad = _clip(command.steering_rad, self._max_rad)
         if not begun(self._scenario, stamp_ns):
             self._wheel_rad = told_rad
             return command
-        wheel_rad = _clip(told_rad + self._bias_rad, self._max_rad)
+        bias_rad = self._scenario.at(STEERING_BIAS, stamp_ns)
+        wheel_rad = _clip(told_rad + bias_rad, self._max_rad)
         if self._max_step_rad:
             wheel_rad = self._wheel_rad + _clip(wheel_rad - self._wheel_rad, self._max_step_rad)
         self._wheel_rad = wheel_rad

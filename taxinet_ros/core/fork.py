@@ -44,6 +44,7 @@ from taxinet_ros.core.scenario_fields import (
     WIND_DIRECTION,
     WIND_SPEED,
 )
+from taxinet_ros.core.signals import kept_signals
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.world import ChosenWorld, SimulatedWorld, World
 from taxinet_ros.errors import UsageError
@@ -112,7 +113,10 @@ class Fork:
             before: the recorded scene, see :meth:`Scenario.to_human`.
         """
         old, new = before, self.scenario.to_human()
-        return {key: (old[key], new[key]) for key in old if old[key] != new[key]}
+        return {
+            key: (old.get(key), new.get(key)) for key in {**old, **new}
+            if old.get(key) != new.get(key)
+        }
 
 
 def fork_of_text(text: str) -> Fork:
@@ -143,7 +147,9 @@ def check_changeable(before: Scenario, after: Scenario) -> None:
         UsageError: there is one.
     """
     for field in SCENARIO_FIELDS:
-        changed = getattr(before, field.attribute) != getattr(after, field.attribute)
+        changed = getattr(before, field.attribute) != getattr(after, field.attribute) or (
+            kept_signals(before.signals, [field]) != kept_signals(after.signals, [field])
+        )
         if changed and field not in CHANGEABLE:
             known = ', '.join(one.key for one in CHANGEABLE)
             raise UsageError(
@@ -191,11 +197,7 @@ class ForkedWorld(World):
 
 def needs_other_model(before: Scenario, after: Scenario) -> bool:
     """Whether the aircraft has to be placed anew: its model of windy air is another."""
-    return _windy(before) != _windy(after)
-
-
-def _windy(scenario: Scenario) -> bool:
-    return bool(scenario.wind_speed_mps or scenario.gust_mps)
+    return before.windy != after.windy
 
 
 def forked_world(fork: Fork) -> ChosenWorld:

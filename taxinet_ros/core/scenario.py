@@ -10,12 +10,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from taxinet_ros.arguments import told
 from taxinet_ros.core.datarefs import NO_DATAREFS, Number, find_datarefs
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, find_track
 from taxinet_ros.core.place.place import AirportGround
@@ -41,26 +44,40 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA_OFFSETS,
     CROSS_TRACK,
     CROSSING,
+    DATAREFS,
     DISTANCE,
     DRAWN_FAULTS,
     FAULT_ONSET,
     FAULT_SEED,
     FAULTS,
+    GUST,
     HUMAN_KEYS,
     MESSAGE_FIELDS,
     PLACE,
     RAIN_CLOUDS,
+    RUNWAY_STATE,
     SCENARIO_FIELDS,
     TRACK,
+    WIND_DIRECTION,
+    WIND_SPEED,
     ScenarioField,
     along_words,
     by_key,
+    is_point,
+)
+from taxinet_ros.core.signals import (
+    VARYING,
+    checked_signals,
+    kept_signals,
+    points_of,
+    signals_of,
 )
 from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
 from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.files.pages import html_table
+from taxinet_ros.files.plain_values import load_json
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -125,6 +142,8 @@ class Scenario:
         duration_s: length of the run [s], a multiple of the control period.
         place: a shipped name, or the whole place as JSON, see
             :mod:`taxinet_ros.core.place.catalogue`.
+        signals: '', or the later values of what changes within the run as JSON, see
+            :mod:`taxinet_ros.core.signals`; also ``Scenario(**{'wind_speed_mps@10': 8})``.
 
     Raises:
         UsageError: a value is out of range, not finite, or an unknown word.
@@ -171,10 +190,12 @@ class Scenario:
     datarefs: str = NO_DATAREFS
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
+    signals: str = ''
 
     def __post_init__(self) -> None:
         PLACE.checked(self.place)
         self._take_camera_apart()
+        self._take_signals_apart()
         object.__setattr__(self, TRACK.attribute, TRACK.checked(self.track) or RUNWAY_TRACK)
         line = self.line
         limits = {
@@ -191,9 +212,10 @@ class Scenario:
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
             kinds = '/'.join(RAIN_CLOUDS)
             raise UsageError(f'scenario: rain needs clouds {kinds}, got {self.clouds!r}')
-        if self.wind_direction_rad and not self.wind_speed_mps:
+        object.__setattr__(self, 'signals', checked_signals(self.points, self.duration_s))
+        if self.ever(WIND_DIRECTION) and not self.ever(WIND_SPEED):
             raise UsageError('scenario: wind_direction_deg has no effect without wind_speed_mps')
-        if self.gust_seed and not self.gust_mps:
+        if self.gust_seed and not self.ever(GUST):
             raise UsageError('scenario: gust_seed has no effect without gust_mps')
         self._check_aircraft()
         if self.gust_seed % 1:
@@ -213,6 +235,20 @@ class Scenario:
             if offset:
                 object.__setattr__(self, field.attribute, field.from_human(offset))
         object.__setattr__(self, CAMERA.attribute, camera.base.text)
+
+    def _take_signals_apart(self) -> None:
+        """Split datarefs as the message has them from the control points that they carry."""
+        if not isinstance(self.signals, str):
+            raise UsageError(f'scenario: signals is {told(self.signals)}, not a text')
+        if '@' not in str(self.datarefs) or not str(self.datarefs).startswith('{'):
+            return
+        try:
+            values = dict(load_json(self.datarefs))
+        except (TypeError, ValueError):
+            return  # which is refused as no datarefs
+        points = {name: values.pop(name) for name in list(values) if is_point(name)}
+        object.__setattr__(self, DATAREFS.attribute, json.dumps(values) if values else NO_DATAREFS)
+        object.__setattr__(self, 'signals', json.dumps({**self.points, **points}))
 
     def _check_faults(self) -> None:
         if self.fault_onset_s and not self.faults:
@@ -234,7 +270,12 @@ class Scenario:
             raise UsageError(f'scenario: fault_seed is {self.fault_seed:g}, not a whole number')
 
     def _check_aircraft(self) -> None:
-        strongest_mps, model = self.wind_speed_mps + 3 * self.gust_mps, self.aircraft_model
+        model, stamps_ns = self.aircraft_model, [0]
+        if self.signals and model.most_wind_mps < math.inf:
+            stamps_ns += range(0, self.duration_ns + 1, NS_PER_S // 10)
+        strongest_mps = max(
+            self.at(WIND_SPEED, stamp) + 3 * self.at(GUST, stamp) for stamp in stamps_ns
+        )
         if strongest_mps > model.most_wind_mps:
             raise UsageError(
                 f'scenario: aircraft {model.name}: wind_speed_mps + 3 gust_mps is '
@@ -314,20 +355,46 @@ class Scenario:
         return round(self.duration_s * NS_PER_S)
 
     @property
+    def points(self) -> Mapping[str, Any]:
+        """Its control points after the start, in human units."""
+        return points_of(self.signals)
+
+    def at(self, field: ScenarioField, stamp_ns: int) -> Any:
+        """The value of a key at a simulated time, in SI units."""
+        start = getattr(self, field.attribute)
+        signal = signals_of(self.signals).get(field.key) if self.signals else None
+        return start if signal is None else signal.at(start, stamp_ns)
+
+    def ever(self, field: ScenarioField) -> bool:
+        """Whether a key has an effect at any time: it is not 0 at a control point."""
+        signal = signals_of(self.signals).get(field.key) if self.signals else None
+        return any((getattr(self, field.attribute), *(() if signal is None else signal.values)))
+
+    def without_signals(self, *fields: ScenarioField) -> str:
+        """Its ``signals`` without those of some keys."""
+        return kept_signals(self.signals, [field for field in VARYING if field not in fields])
+
+    @property
+    def windy(self) -> bool:
+        """Whether there is any wind at any time."""
+        return self.ever(WIND_SPEED) or self.ever(GUST)
+
+    @property
     def pushed(self) -> bool:
         """Whether wind, slope or reduced friction affect the aircraft."""
-        return bool(self.wind_speed_mps or self.gust_mps or self.slope_fraction) or (
-            self.surface != 'dry'
+        return self.windy or bool(self.slope_fraction) or self.surface != 'dry' or bool(
+            kept_signals(self.signals, [RUNWAY_STATE])
         )
 
     @property
     def faults(self) -> tuple[ScenarioField, ...]:
         """The faults that it has."""
-        return tuple(field for field in FAULTS if getattr(self, field.attribute))
+        return tuple(field for field in FAULTS if self.ever(field))
 
     def without_faults(self, *fields: ScenarioField) -> Scenario:
         """The same without some of its faults, and without an onset or a seed of none."""
         changes: dict[str, Any] = {field.attribute: 0.0 for field in fields}
+        changes['signals'] = self.without_signals(*fields)
         left = [field for field in self.faults if field not in fields]
         if not left:
             changes[FAULT_ONSET.attribute] = 0.0
@@ -337,14 +404,24 @@ class Scenario:
 
     @property
     def surface(self) -> str:
-        """Runway condition: ``runway_state`` with ``auto`` resolved."""
-        if self.runway_state == 'auto':
+        """Runway condition at the start: ``runway_state`` with ``auto`` resolved."""
+        return self.surface_at(0)
+
+    def surface_at(self, stamp_ns: int) -> str:
+        """Runway condition at a simulated time."""
+        state: str = self.at(RUNWAY_STATE, stamp_ns)
+        if state == 'auto':
             return 'wet' if self.rain_fraction > 0 else 'dry'
-        return self.runway_state
+        return state
 
     def recorded(self) -> dict[str, Any]:
-        """Values by field of its message, where camera and offsets are one text."""
+        """Values by field of its message, where a text also carries what has no field.
+
+        That of the camera carries its offsets, that of the datarefs the control points.
+        """
         values = {field.attribute: getattr(self, field.attribute) for field in MESSAGE_FIELDS}
+        if self.signals:
+            values[DATAREFS.attribute] = json.dumps({**self.dataref_values, **self.points})
         return {**values, CAMERA.attribute: self.camera_model.text}
 
     def __repr__(self) -> str:
@@ -358,7 +435,7 @@ class Scenario:
         usual = Scenario().to_human()
         return html_table('Scenario', {
             BY_KEY[key].title: BY_KEY[key].value_words(value)
-            for key, value in self.to_human().items() if value != usual[key]
+            for key, value in self.to_human().items() if value != usual.get(key)
         })
 
     @property
@@ -375,7 +452,9 @@ class Scenario:
     def to_human(self) -> dict[str, Any]:
         """The scenario in user-facing units; the inverse of :func:`scenario_from_human`."""
         return {
-            field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
+            **{field.key: field.to_human(getattr(self, field.attribute))
+               for field in SCENARIO_FIELDS},
+            **self.points,
         }
 
 
@@ -387,6 +466,7 @@ _init = Scenario.__init__
 def _init_in_any_units(self: Scenario, **values: Any) -> None:
     """Take values also by the keys, and in the units, of the command line."""
     given = {name: value for name, value in values.items() if name in _ATTRIBUTES}
+    points: dict[str, Any] = {}
     for key, value in by_key({
         name: value for name, value in values.items() if name not in _ATTRIBUTES
     }).items():
@@ -394,9 +474,14 @@ def _init_in_any_units(self: Scenario, **values: Any) -> None:
         if field is None:
             near = near_miss(key, (*_ATTRIBUTES, *BY_KEY))
             raise UsageError(f'scenario: unknown key {key!r}{near}; known: {", ".join(HUMAN_KEYS)}')
+        if is_point(key):
+            points[key] = field.to_human(field.from_human(value))
+            continue
         if field.attribute in given:
             raise UsageError(f'scenario: {key} is given twice, also as {field.attribute}')
         given[field.attribute] = field.from_human(value)
+    if points:
+        given['signals'] = json.dumps({**points_of(given.get('signals', '')), **points})
     _init(self, **given)
 
 
@@ -439,7 +524,8 @@ def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
             f'known: {", ".join(HUMAN_KEYS)}'
         )
     scenario = Scenario(**{
-        BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()
+        BY_KEY[key].attribute: value if is_point(key) else BY_KEY[key].from_human(value)
+        for key, value in values.items()
     })
     wanted = CROSSING.from_human(values.get(CROSSING.key, False))
     if wanted and not scenario.crossing:

@@ -10,11 +10,14 @@ Input also accepts a key without its unit (short form: ``rain`` for ``rain_perce
 Everything else with an entry per key (scenario message, rows and tables of runs, features of an
 analysis, world model of the programs, pages of the documentation) is generated from this table, or
 compared with it by ``tests/core/test_scenario_fields.py``.
+
+``KEY@SECONDS`` is the value of a key later in the run, see :mod:`taxinet_ros.core.signals`.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import datetime
 import math
 import re
@@ -43,6 +46,11 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 
 RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """Runway conditions, which set the friction; ``auto``: wet if it rains, else dry."""
+
+CONSTANT, LINEAR, CUBIC = FORMS = ('constant', 'linear', 'cubic')
+"""How a value goes from one control point to the next."""
+FORM = 'form'
+_AT = '@'
 
 _SWITCH_WORDS = {
     'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
@@ -104,6 +112,7 @@ class ScenarioField:
             existed.
         carrier: attribute whose text carries it in the scenario message; '' if it has a field of
             its own.
+        varies: whether it may change within a run.
     """
 
     key: str
@@ -124,6 +133,7 @@ class ScenarioField:
     plane: bool = False
     absent: Any = None
     carrier: str = ''
+    varies: bool = False
 
     @property
     def label(self) -> str:
@@ -215,6 +225,8 @@ class ScenarioField:
 
     def value_words(self, value: Any) -> str:
         """Display text of a value, with its user-facing unit: ``10:30``, ``+2.5 deg``, ``on``."""
+        if value is None:  # a control point that a scene does not have
+            return 'none'
         if self is TIME_OF_DAY:
             return clock_words(value)
         if self.kind is Kind.SWITCH:
@@ -289,6 +301,9 @@ def unusual_words(scene: Mapping[str, Any]) -> str:
         f', {field.title} {field.value_words(scene[field.key]).partition("@")[0]}'.replace('_', ' ')
         for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, *CAMERA_OFFSETS, DATAREFS)
         if scene.get(field.key) not in (None, '', field.to_human(field.absent))
+    ) + ''.join(
+        f', {BY_KEY[name].title} {BY_KEY[name].value_words(value)}'
+        for name, value in scene.items() if value is not None and is_point(name)
     )
 
 
@@ -335,17 +350,17 @@ AIRCRAFT_MODEL = ScenarioField(
 )
 WIND_SPEED = ScenarioField(
     key='wind_speed_mps', short='wind_speed', attribute='wind_speed_mps', title='wind', unit='m/s',
-    form='{:.1f}', low=0.0, high=30.0, si_unit='m/s', absent=0.0,
+    form='{:.1f}', low=0.0, high=30.0, si_unit='m/s', absent=0.0, varies=True,
 )
 WIND_DIRECTION = ScenarioField(
     key='wind_direction_deg', short='wind_direction', attribute='wind_direction_rad',
     title='wind from', unit='°', si=math.pi / 180, form='{:.0f}',
     low=0.0, high=2 * math.pi, si_unit='rad', counted=' from true north, clockwise',
-    absent=0.0,
+    absent=0.0, varies=True,
 )
 GUST = ScenarioField(
     key='gust_mps', short='gust', attribute='gust_mps', title='gusts (standard deviation)',
-    unit='m/s', form='{:.1f}', low=0.0, high=10.0, si_unit='m/s', absent=0.0,
+    unit='m/s', form='{:.1f}', low=0.0, high=10.0, si_unit='m/s', absent=0.0, varies=True,
 )
 GUST_SEED = ScenarioField(
     key='gust_seed', attribute='gust_seed', title='seed of the gusts',
@@ -353,7 +368,7 @@ GUST_SEED = ScenarioField(
 )
 RUNWAY_STATE = ScenarioField(
     key='runway_state', attribute='runway_state', title='runway friction', kind=Kind.WORD,
-    words=RUNWAY_STATES, absent='dry',
+    words=RUNWAY_STATES, absent='dry', varies=True,
 )
 SLOPE = ScenarioField(
     key='slope_percent', short='slope', attribute='slope_fraction', title='slope, uphill', unit='%',
@@ -394,12 +409,12 @@ GLARE_GHOST = ScenarioField(
 EXPOSURE_JUMP = ScenarioField(
     key='exposure_jump_ev', short='exposure_jump', attribute='exposure_jump_ev',
     title='jump of the exposure', unit='EV', form='{:+.1f}', low=-6.0, high=6.0, si_unit='EV',
-    absent=0.0,
+    absent=0.0, varies=True,
 )
 LOOP_DELAY = ScenarioField(
     key='loop_delay_s', short='loop_delay', attribute='loop_delay_s',
     title='delay from frame to command', unit='s', form='{:.2f}', low=0.0, high=30.0, si_unit='s',
-    absent=0.0,
+    absent=0.0, varies=True,
 )
 LOOP_JITTER = ScenarioField(
     key='loop_jitter_s', short='loop_jitter', attribute='loop_jitter_s',
@@ -410,6 +425,7 @@ STEERING_BIAS = ScenarioField(
     key='steering_bias_deg', short='steering_bias', attribute='steering_bias_rad',
     title='steering bias', unit='°', si=math.pi / 180, form='{:+.1f}',
     low=-math.pi / 6, high=math.pi / 6, si_unit='rad', counted=', left positive', absent=0.0,
+    varies=True,
 )
 STEERING_RATE_LIMIT = ScenarioField(
     key='steering_rate_limit_degps', short='steering_rate_limit',
@@ -490,7 +506,37 @@ SCENARIO_FIELDS = (
 )
 MESSAGE_FIELDS = tuple(field for field in SCENARIO_FIELDS if not field.carrier)
 """Fields of the scenario message."""
-BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
+class _Fields(dict[str, ScenarioField]):
+    """Fields by key; it also has the control points of those that may change within a run."""
+
+    def __missing__(self, name: str) -> ScenarioField:
+        key, part = split_point(name)
+        field = self.get(key) if part else None
+        if field is None or not field.varies:
+            raise KeyError(name)
+        assert isinstance(field, ScenarioField)
+        if part == FORM:
+            return ScenarioField(
+                key=name, attribute=name, title=f'form of {field.title}', kind=Kind.WORD,
+                words=FORMS if field.kind is Kind.NUMBER else (CONSTANT,),
+            )
+        return dataclasses.replace(
+            field, key=name, attribute=name, short=f'{field.label} at {part} s',
+            title=f'{field.title} at {part} s', varies=False,
+        )
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and self.get(name) is not None
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """As in a dictionary."""
+        try:
+            return self[name]
+        except KeyError:
+            return default
+
+
+BY_KEY = _Fields({field.key: field for field in SCENARIO_FIELDS})
 HUMAN_KEYS = tuple(BY_KEY)
 """User-facing scenario keys."""
 SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
@@ -513,12 +559,53 @@ def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
     """The same values with short forms spelled out; names that are no keys stay as they are.
 
     Raises:
-        UsageError: a key is there with its short form too.
+        UsageError: a key is there with its short form too, or a control point that cannot be.
     """
-    for short, key in SHORT_FORMS.items():
-        if short in values and key in values:
-            raise UsageError(f'scenario: {short} and {key} are the same; leave one out')
-    return {SHORT_FORMS.get(name, name): value for name, value in values.items()}
+    found: dict[str, _Value] = {}
+    names: dict[str, str] = {}
+    for name, value in values.items():
+        key = _point_key(name) if _AT in name else SHORT_FORMS.get(name, name)
+        if key in names:
+            one, other = sorted((name, names[key]), key=len)
+            raise UsageError(f'scenario: {one} and {other} are the same; leave one out')
+        found[key], names[key] = value, name
+    return found
+
+
+def split_point(name: str) -> tuple[str, str]:
+    """Key, and time or ``form``, of a control point; '' for what is none."""
+    key, _, part = name.partition(_AT)
+    return key, part
+
+
+def is_point(name: str) -> bool:
+    """Whether a name is the key of a control point, or of the form of a signal."""
+    return _AT in name and name in BY_KEY
+
+
+def _point_key(name: str) -> str:
+    """Key of a control point as in tables; what begins with no key of ours stays as it is."""
+    key, part = split_point(name)
+    key = SHORT_FORMS.get(key, key)
+    if key not in BY_KEY:
+        return name
+    if not BY_KEY[key].varies:
+        known = ', '.join(field.key for field in SCENARIO_FIELDS if field.varies)
+        raise UsageError(f'scenario: {name}: {key} cannot change within a run; what can: {known}')
+    if part == FORM:
+        return f'{key}{_AT}{FORM}'
+    try:
+        time_s = typed_number(part, 's') or float(part)
+    except ValueError:
+        time_s = math.nan
+    if time_s == 0:
+        raise UsageError(f'scenario: {name}: the value at 0 s is {key} itself')
+    if not 0 < time_s <= DURATION.high:
+        raise UsageError(
+            f'scenario: {name}: expected {key}@SECONDS up to {DURATION.high:g}, as in {key}@10, or '
+            f'{key}@{FORM}'
+        )
+    return f'{key}{_AT}{round(time_s, _DECIMALS):.12g}'
 
 
 def by_value(values: Mapping[str, Any]) -> dict[str, Any]:

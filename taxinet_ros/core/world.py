@@ -167,7 +167,10 @@ class SimulatedWorld(World):
 
     def advance(self, command: TaxiCommand) -> None:
         """Integrate one control period under ``command``."""
-        self._aircraft.advance(self._steering.apply(command, self._seq * CONTROL_PERIOD_NS))
+        stamp_ns = self._seq * CONTROL_PERIOD_NS
+        if self._scenario.signals:
+            self._aircraft.follow(self._scenario, stamp_ns)
+        self._aircraft.advance(self._steering.apply(command, stamp_ns))
         self._seq += 1
         if shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
             self._shown = self._aircraft.state, self._seq * CONTROL_PERIOD_NS
@@ -390,6 +393,11 @@ class _PluginWorld(ForeignCode, World):
             scenario, model.max_steering_rad or full_steering_rad(model), CONTROL_PERIOD_NS
         )
         well = scenario.without_faults(*FAULTS)
+        if well.signals:
+            raise UsageError(
+                f'{extension.words}: {", ".join(well.points)} would have no effect, as only the '
+                f'world {KMWH} changes within a run; leave it out'
+            )
         self._world = self._call(lambda: make(well, pictures=pictures))
         told = self._call(lambda: self._world.last_seq)
         if told != self.last_seq:

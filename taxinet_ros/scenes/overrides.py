@@ -27,6 +27,7 @@ from taxinet_ros.core.scenario_fields import (
     FAULT_ONSET,
     FAULT_SEED,
     FAULTS,
+    FORM,
     GUST,
     GUST_SEED,
     HEADING,
@@ -40,6 +41,8 @@ from taxinet_ros.core.scenario_fields import (
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
+    is_point,
+    split_point,
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.values import OVERRIDES
@@ -231,11 +234,15 @@ def without_idle(
     drawn: Mapping[str, Any], overrides: Mapping[str, str], changing: Collection[str]
 ) -> dict[str, Any]:
     """The drawn values but those without effect where a key in ``changing`` happens to be 0."""
-    values = {**drawn, **overrides}
+    present = {
+        split_point(name)[0] for name, value in {**drawn, **overrides}.items()
+        if value not in (0, '0') and split_point(name)[1] != FORM
+    }
+    moving = {split_point(name)[0] for name in (*changing, *overrides)}
     return {
         key: value for key, value in drawn.items()
-        if key in overrides or not _NEEDS.get(key, set()) & {*changing, *overrides}
-        or any(values.get(need, 0) not in (0, '0') for need in _NEEDS[key])
+        if key in overrides or not (needs := _NEEDS.get(split_point(key)[0], set())) & moving
+        or needs & present
     }
 
 
@@ -250,9 +257,12 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     Raises:
         UsageError: it is impossible.
     """
-    field = BY_KEY.get(key)
+    field = BY_KEY.get(next(iter(by_key({key: None}))))
     if not place and field is TRACK:
         field.checked(value)
+        return
+    if field is not None and is_point(field.key):
+        field.checked(field.from_human(value))
         return
     if not place and field is not None and field.anywhere is not None:
         field.checked(field.from_human(value), field.anywhere)

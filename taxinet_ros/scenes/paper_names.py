@@ -31,7 +31,6 @@ from taxinet_ros.core.scenario_fields import (
     DISTANCE,
     PLACE,
     RAIN,
-    SHORT_FORMS,
     SKY,
     TIME_OF_DAY,
     TRACK,
@@ -162,11 +161,15 @@ def is_dataref(name: str) -> bool:
 
 
 def key_of(name: str, names: Collection[str]) -> str:
-    """The scenario key that a parameter sets, from either name, with its unit."""
+    """The scenario key that a parameter sets, from either name, with its unit.
+
+    Raises:
+        UsageError: it is a control point that cannot be.
+    """
     if is_dataref(name):
         return DATAREFS.key
     found = paper_name(name, names)
-    return found.key if found else SHORT_FORMS.get(name, name)
+    return found.key if found else next(iter(by_key({name: None})))
 
 
 def our_value(name: str, value: Any, place: str, date: str, track: str) -> Any:

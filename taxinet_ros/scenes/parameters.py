@@ -16,8 +16,8 @@ from taxinet_ros.core.datarefs import split_name
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.track import runway_track
 from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
     CATALOGUES,
-    HUMAN_KEYS,
     PARAMETERS,
     PLANE_KEYS,
     RAIN,
@@ -131,12 +131,15 @@ def rain_notes(params: Mapping[str, Parameter]) -> tuple[str, ...]:
 
 
 def _check_name(name: str) -> None:
-    key = SHORT_FORMS.get(name, name)
+    try:
+        key = next(iter(by_key({name: None})))
+    except UsageError as error:
+        raise UsageError(f'param {str(error).removeprefix("scenario: ")}') from None
     if key in PLANE_KEYS:
         raise UsageError(f'parameter {name!r} belongs to the plane: place the ego there')
     if is_dataref(name):
         split_name(name)
-    elif key not in HUMAN_KEYS and name not in PAPER_NAMES:
+    elif key not in BY_KEY and name not in PAPER_NAMES:
         close = difflib.get_close_matches(name, _FORMS, 1)
         hint = f'; did you mean {SHORT_FORMS.get(close[0], close[0])}?' if close else ''
         raise UsageError(

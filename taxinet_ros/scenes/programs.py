@@ -388,6 +388,10 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
     lines += [
         f'param {key} = {_literal(values[key])}{_comment(remarks, key)}' for key in PARAMETERS
     ]
+    lines += [
+        f'param {key!r} = {_literal(value)}{_comment(remarks, key)}'
+        for key, value in scenario.points.items()
+    ]
     lines += ['', *(f'# {key} {remarks[key]}' for key in PLANE_KEYS if key in remarks)]
     right, along = _literal(0 - values['cross_track_m']), _literal(values['distance_m'])
     nose_left = _literal(values['heading_deg'])

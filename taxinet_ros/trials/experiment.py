@@ -370,11 +370,12 @@ def check_paired(
             other = base.get(row.index)
             if other is None or not (row.clouds and other.clouds):
                 continue  # no scene was drawn, or not yet
-            for key, value in row.scene.items():
-                if key not in free and value != other.scene[key]:
+            for key in {**row.scene, **other.scene}:
+                value, there = row.scene.get(key), other.scene.get(key)
+                if key not in free and value != there:
                     raise UsageError(
                         f'experiment {experiment.name}: run {row.index} has {key} '
-                        f'{value} in {arm.name} and {other.scene[key]} in {first}, '
+                        f'{value} in {arm.name} and {there} in {first}, '
                         'though neither arm sets it; was the program changed between the arms?'
                     )
 

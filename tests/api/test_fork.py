@@ -81,6 +81,29 @@ def test_given_a_change_at_the_start_then_it_is_the_run_of_the_changed_scene(
     equal(rainy.fork(0.0, settings=settings).trace, changed.trace)
 
 
+GUSTY = dataclasses.replace(CALM, wind_speed_mps=2.0, gust_mps=1.0, **{
+    'wind_speed_mps@1': 9.0, 'wind_speed_mps@2.5': 4.0, 'steering_bias_deg@2': 3.0,
+})
+
+
+def test_given_a_run_with_signals_then_they_go_on_in_a_fork_and_may_be_changed_there():
+    run = tx.run(GUSTY)
+    equal(run.fork(1.2).trace, run.trace)
+    # What has passed is as it was, to the bit; a later point changes what comes.
+    later = dataclasses.replace(GUSTY, **{'steering_bias_deg@2.5': -3.0})
+    forked = run.fork(2.0, settings={'steering_bias_deg@2.5': -3})
+    equal(forked.trace, tx.run(later).trace)
+    assert not forked.trace.equals(run.trace)
+    # A value holds from the fork on, in place of the points.
+    steady = run.fork(1.2, settings={'steering_bias_deg': 3})
+    assert steady.fork_of.changes(GUSTY.to_human()) == {
+        'steering_bias_deg': (0.0, 3.0), 'steering_bias_deg@2': (3.0, None)}
+    with pytest.raises(tx.UsageError, match='loop_delay_s cannot change during a run'):
+        run.fork(1.2, settings={'loop_delay_s@2': 0.5})
+    with pytest.raises(tx.UsageError, match=r'wind_speed_mps@1 is 9\.0 m/s in the run already'):
+        run.fork(1.2, settings={'wind_speed@1': 9})
+
+
 def test_given_other_gains_then_they_hold_from_the_fork_on():
     run = tx.run(CALM)
     other = tx.SteeringLaw(tx.SteeringGains(heading_gain=0.4))

@@ -66,7 +66,7 @@ def test_given_the_rows_then_no_name_stands_for_two_keys():
 
 def test_given_the_rows_then_a_scenario_has_these_attributes_in_this_order_and_no_other():
     attributes = {one.name: str(one.type) for one in dataclasses.fields(Scenario)}
-    assert list(attributes) == [field.attribute for field in SCENARIO_FIELDS]
+    assert list(attributes) == [*(field.attribute for field in SCENARIO_FIELDS), 'signals']
     for field in SCENARIO_FIELDS:
         assert attributes[field.attribute] == TYPES[field.kind], field.key
         field.checked(getattr(Scenario(), field.attribute))

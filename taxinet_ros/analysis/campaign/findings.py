@@ -21,10 +21,10 @@ from taxinet_ros.analysis.causes.clusters import Clusters, find_clusters
 from taxinet_ros.analysis.causes.predictors import RankedFeature, rank_features
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
+from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.trials.record.facts import recorded_world
 from taxinet_ros.trials.run_command import RunSettings
 
@@ -117,7 +117,7 @@ def common_scenes(
         ``failed_there``; rows are those of the campaigns' frames.
     """
     rated = runs.weighting.rated and baseline.weighting.rated and not all_runs
-    keys = list(HUMAN_KEYS)
+    keys = list(SCENE_COLUMNS)
     one, other = (
         some.scenes.assign(failed=some.failed, row=np.arange(len(some.frame)))[
             (some.weight == 1) if rated else slice(None)

@@ -40,7 +40,13 @@ from taxinet_ros.analysis.causes.scan import (
     likelihood_ratio,
 )
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, rate_words
-from taxinet_ros.analysis.runs.features import ALL_FEATURES, BY_NAME, Floats, Mask, kinds_present
+from taxinet_ros.analysis.runs.features import (
+    BY_NAME,
+    Floats,
+    Mask,
+    features_of,
+    kinds_present,
+)
 
 _CELLS, _CELLS_OF_HALVES = 250, 60
 _ROUNDS = 6
@@ -74,7 +80,7 @@ def round_limits(region: Region, frame: pd.DataFrame) -> Region:
         region: any region.
         frame: all runs of the campaign.
     """
-    order = list(BY_NAME)
+    order = [feature.name for feature in features_of(frame.columns)]
     parts = [_rounded(part, frame) for part in region.parts]
     return Region(parts=tuple(sorted(parts, key=lambda part: order.index(part.feature))))
 
@@ -281,7 +287,8 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         alpha: maximum probability of naming a cause if there is none.
     """
     # A repeated scene has the same outcome, so it is not an independent sample.
-    scene = [feature.name for feature in ALL_FEATURES if feature.name in runs.frame]
+    every = features_of(runs.frame.columns)
+    scene = [feature.name for feature in every if feature.name in runs.frame]
     frame = runs.frame[~runs.frame.duplicated([*scene, 'rho'])].reset_index(drop=True)
     again = len(runs.frame) - len(frame)
     failed = frame['failed'].to_numpy(dtype=bool)

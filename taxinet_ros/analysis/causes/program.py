@@ -57,7 +57,7 @@ _VALUES = {
 """Expression of a program's requirement for each column of the table."""
 _SCENE = re.compile(r'\bscene_(\w+)')
 _STATEMENT = re.compile(r'^[ \t]*param\b.*', re.MULTILINE)
-_PARAMETER = re.compile(r'(?:param\s+|,\s*)["\']?([\w/\[\]]+)["\']?\s*=(?!=)')
+_PARAMETER = re.compile(r'(?:param\s+|,\s*)["\']?([\w/\[\]@.]+)["\']?\s*=(?!=)')
 _SCENARIO = re.compile(r'^scenario\b', re.MULTILINE)
 _EGO = re.compile(r'^ego\b', re.MULTILINE)
 _NO_WORDS = (tokenize.NL, tokenize.COMMENT, tokenize.INDENT, tokenize.DEDENT)
@@ -308,7 +308,10 @@ def _adapted(required: list[str], source: str, overrides: Mapping[str, Any]) -> 
     lines = [f'from {our_value.__module__} import our_value'] * bool(of_paper)
     lines += [f'from {scenario_fields.__name__} import CATALOGUES'] * bool(documents)
     # A requirement knows the names of a program, but not the parameters of the world.
-    lines += [f'scene_{key} = globalParameters[{name!r}]' for key, name in sorted(names.items())]
+    lines += [
+        f'scene_{_identifier(key)} = globalParameters[{name!r}]'
+        for key, name in sorted(names.items())
+    ]
     for key, usual in where.items() if of_paper else ():
         if key in overrides:
             lines.append(f'scene_{key} = {overrides[key]!r}')
@@ -320,13 +323,22 @@ def _adapted(required: list[str], source: str, overrides: Mapping[str, Any]) -> 
 
 
 def _named(required: list[str]) -> set[str]:
-    return {key for text in required for key in _SCENE.findall(text)}
+    return {
+        key.replace('_at_', '@').replace('_point_', '.')
+        for text in required for key in _SCENE.findall(text)
+    }
+
+
+def _identifier(key: str) -> str:
+    """A key, or a control point as ``wind_speed_mps@2.5``, as part of a name in a program."""
+    return key.replace('@', '_at_').replace('.', '_point_')
 
 
 def _value(name: str) -> str:
     """Expression for a feature in a requirement."""
     source = BY_NAME[name].source
-    return _VALUES[source] if name == source else f'abs({_VALUES[source]})'
+    value = _VALUES.get(source) or f'scene_{_identifier(source)}'
+    return value if name == source else f'abs({value})'
 
 
 def _condition(part: Part) -> str:

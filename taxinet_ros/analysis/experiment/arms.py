@@ -159,7 +159,8 @@ def _known_rates(
 def varied_keys(rows: Sequence[RunRow]) -> tuple[str, ...]:
     """Scenario keys that differ between runs."""
     drawn = [row for row in rows if row.clouds]
-    return tuple(key for key in HUMAN_KEYS if len({row.scene[key] for row in drawn}) > 1)
+    keys = dict.fromkeys(key for row in drawn for key in row.scene)
+    return tuple(key for key in keys if len({row.scene.get(key) for row in drawn}) > 1)
 
 
 def pairs_frame(found: PairedArms) -> pd.DataFrame:

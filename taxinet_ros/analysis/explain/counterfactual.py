@@ -36,9 +36,14 @@ from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CAMERA_OFFSETS,
     FAULTS,
+    GUST,
     PICTURE_FAULTS,
+    RUNWAY_STATE,
+    WIND_DIRECTION,
+    WIND_SPEED,
     ScenarioField,
 )
+from taxinet_ros.core.signals import VARYING
 from taxinet_ros.core.traffic.traffic import NOBODY
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
@@ -171,17 +176,21 @@ def run_factors(scenario: Scenario) -> tuple[Factor, ...]:
     """What fails in a run, or pushes the aircraft; left out is what does not."""
     calm: dict[str, Any] = {
         'wind_speed_mps': 0.0, 'wind_direction_rad': 0.0, 'gust_mps': 0.0, 'gust_seed': 0.0,
+        'signals': scenario.without_signals(WIND_SPEED, WIND_DIRECTION, GUST),
     }
     nothing = dataclasses.replace(
-        scenario.without_faults(*FAULTS), **calm, runway_state='dry', slope_fraction=0.0
+        scenario.without_faults(*FAULTS),
+        **{**calm, 'signals': '', 'runway_state': 'dry', 'slope_fraction': 0.0},
     )
     wanted = [
         *_without_faults(scenario, scenario.faults, 'without any fault'),
         ('wind', 'without wind', 'the wind', dataclasses.replace(scenario, **calm)),
         ('friction', 'on a dry runway', f'the {scenario.surface} runway',
-         dataclasses.replace(scenario, runway_state='dry')),
+         dataclasses.replace(
+             scenario, runway_state='dry', signals=scenario.without_signals(RUNWAY_STATE))),
         ('slope', 'on a level runway', 'the slope',
          dataclasses.replace(scenario, slope_fraction=0.0)),
+        *_steady(scenario),
     ]
     if nothing not in [changed for *_, changed in wanted]:
         wanted.append(('all', 'without any of this', 'all of it together', nothing))
@@ -189,6 +198,16 @@ def run_factors(scenario: Scenario) -> tuple[Factor, ...]:
 
 
 _Wanted = tuple[str, str, str, Scenario]
+
+
+def _steady(scenario: Scenario) -> list[_Wanted]:
+    """A scene with each value that changes within the run as it is at the start, if that is any."""
+    return [
+        (f'{field.key}@', f'with the {field.title} as at the start',
+         f'the change of the {field.title}',
+         dataclasses.replace(scenario, signals=scenario.without_signals(field)))
+        for field in VARYING if getattr(scenario, field.attribute) != field.absent
+    ]
 
 
 def _without_faults(

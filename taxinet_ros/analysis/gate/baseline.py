@@ -33,8 +33,7 @@ from taxinet_ros.analysis.campaign.compared import Compared, compared
 from taxinet_ros.analysis.experiment.pairs import PairedRates
 from taxinet_ros.analysis.gate.criteria import MOST_RUNS, Bounds, Criterion, Kind, Verdict
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
-from taxinet_ros.analysis.runs.features import scene_columns
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.analysis.runs.features import SCENE_COLUMNS, scene_columns
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import share_bounds
@@ -265,7 +264,7 @@ def _changed(changed: pd.DataFrame, *, worse: bool) -> tuple[Changed, ...]:
 
 def _unknown(frame: pd.DataFrame, other: pd.DataFrame) -> int:
     """Number of scenes that both have, of which a run was not judged."""
-    keys = list(HUMAN_KEYS)
+    keys = list(SCENE_COLUMNS)
     scenes = [_scenes(one).assign(open=one['outcome'].isin(_OPEN)) for one in (frame, other)]
     both = scenes[0].drop_duplicates(keys).merge(scenes[1].drop_duplicates(keys), on=keys)
     return int((both['open_x'] | both['open_y']).sum())
@@ -303,7 +302,7 @@ def _check_origin(
             one['outcome'] != Outcome.REJECTED.value] for one in (frame, other)
     ]
     both = scenes[0].merge(scenes[1], on='index', suffixes=('', ' there'))
-    for key in HUMAN_KEYS:
+    for key in SCENE_COLUMNS:
         one, two = both[key], both[f'{key} there']
         differ = (one != two) & ~(one.isna() & two.isna())
         if differ.any():

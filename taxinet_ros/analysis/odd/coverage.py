@@ -26,7 +26,9 @@ import pandas as pd
 from taxinet_ros.analysis.odd.dispersion import Hole, largest_hole
 from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, group_rate
-from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES, DURATION, SCENARIO_FIELDS
+from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
+from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES, DURATION, HUMAN_KEYS
+from taxinet_ros.core.signals import points_of
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import plain
 from taxinet_ros.scenes.programs import SUFFIX, known_programs
@@ -41,7 +43,6 @@ NAMES = {1: 'cells', 2: 'pairs', 3: 'triples'}
 """What combinations of so many cells are called."""
 STRENGTHS = tuple(NAMES)
 MOST_GAPS = 10
-_SAME = [field.key for field in SCENARIO_FIELDS]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -200,9 +201,10 @@ def odd_coverage(
     weight = _weights(campaigns)
     # Who adds campaigns has seen the first before the next: the sum's number of runs was open.
     anytime = len(campaigns) > 1 or any(one.anytime for one in campaigns)
+    points = [*map(points_of, scenes['signals'])]
     records: list[dict[str, Any]] = [
-        dict(zip(odd.keys, values, strict=True))
-        for values in scenes[list(odd.keys)].to_numpy(dtype=object).tolist()
+        {**dict(zip(odd.keys, values, strict=True)), **later} for values, later in zip(
+            scenes[list(odd.keys)].to_numpy(dtype=object).tolist(), points, strict=True)
     ]
     places = np.array([odd.place(scene) for scene in records], dtype=np.int64)
     outside = _outside(odd, records, places)
@@ -211,7 +213,8 @@ def odd_coverage(
         odd=odd, places=places[inside], failed=failed[inside], weight=weight[inside],
         anytime=anytime, limit=limit,
     )
-    varied = [key for key in _SAME if scenes[key].nunique() > 1]
+    varied = [key for key in HUMAN_KEYS if scenes[key].nunique() > 1]
+    varied += dict.fromkeys(name for later in points for name in later)
     kept = scenes[inside]
     # Sets of parameters are needed for the pairs even where nobody asks for their share.
     wanted = [t for t in strengths if t <= len(odd.parameters)]
@@ -324,7 +327,8 @@ def _check_alike(campaigns: Sequence[CampaignRuns]) -> None:
             raise UsageError(f'{one.path}: mixes runs of {one.perception}; make a table of each')
     seen: dict[tuple[Any, ...], Path] = {}
     for one in campaigns:
-        scenes = {tuple(values) for values in one.scenes[_SAME].to_numpy(dtype=object).tolist()}
+        frame = one.scenes[[*SCENE_COLUMNS]]
+        scenes = {tuple(values) for values in frame.to_numpy(dtype=object).tolist()}
         double = next((seen[scene] for scene in scenes if scene in seen), None)
         if double is not None:
             raise UsageError(f'{one.path}: has runs that are in {double} too; name each once')

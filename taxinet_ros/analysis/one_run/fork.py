@@ -270,7 +270,7 @@ def change_words(recording: Recording, change: Mapping[str, Any], fork: Fork | N
             field = BY_KEY[name]
             now = field.to_human(field.from_human(value))
             words.append(
-                f'{field.label} {field.value_words(before[name])} -> {field.value_words(now)}'
+                f'{field.label} {field.value_words(before.get(name))} -> {field.value_words(now)}'
             )
         else:
             words.append(f'{name}={value:g}')
@@ -364,7 +364,7 @@ def value_before(recording: Recording, key: str) -> float | None:
     run = recording.run
     if key.startswith(_GAIN):
         return {**asdict(SteeringGains()), **run.gains}.get(key.removeprefix(_GAIN))
-    value = run.request.scenario.to_human()[key]
+    value = run.request.scenario.to_human().get(key)
     return float(value) if isinstance(value, int | float) else None
 
 

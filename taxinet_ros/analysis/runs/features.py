@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -14,7 +16,16 @@ import pandas as pd
 
 from taxinet_ros.core import scenario_fields as fields
 from taxinet_ros.core.place.catalogue import SHIPPED_TRACKS
-from taxinet_ros.core.scenario_fields import Kind, ScenarioField, clock_words
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    FORM,
+    HUMAN_KEYS,
+    Kind,
+    ScenarioField,
+    clock_words,
+    is_point,
+    split_point,
+)
 
 Mask = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -230,7 +241,27 @@ ALL_FEATURES = (
     *PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS, *PUSHING_FEATURES,
     *FAULT_FEATURES, *_CAMERA_OFFSETS,
 )
-BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
+
+
+class _Features(dict[str, Feature]):
+    """Features by name, with those of control points."""
+
+    def __missing__(self, name: str) -> Feature:
+        if not is_point(name):
+            raise KeyError(name)
+        key, part = split_point(name)
+        if part == FORM:
+            return _feature(BY_KEY[name], form=Form.KIND)
+        either, below, above = (f'{words} at {part} s' * bool(words) for words in self[key].words)
+        return dataclasses.replace(
+            self[key], name=name, source=name, title=BY_KEY[name].title,
+            words=(either, below, above),
+        )
+
+
+BY_NAME = _Features({feature.name: feature for feature in ALL_FEATURES})
+SCENE_COLUMNS = (*HUMAN_KEYS, 'signals')
+"""Columns of :func:`scene_columns`: two runs have the same scene if these are equal."""
 
 _BEFORE = {
     field.key: field.to_human(field.absent)
@@ -239,26 +270,44 @@ _BEFORE = {
 
 
 def feature_columns(table: pd.DataFrame) -> pd.DataFrame:
-    """A column for each feature of :data:`ALL`, of a campaign's table."""
-    columns = {feature.name: _values(feature, table) for feature in ALL_FEATURES}
+    """A column for each feature of a campaign's table, with control points that all runs have."""
+    complete = [name for name in table.columns if not table[name].isna().any()]
+    columns = {feature.name: _values(feature, table) for feature in features_of(complete)}
     return pd.DataFrame(columns, dtype=None)
 
 
+def features_of(columns: Iterable[object]) -> tuple[Feature, ...]:
+    """All features, with those of control points among the columns."""
+    return (*ALL_FEATURES, *(BY_NAME[str(name)] for name in columns if is_point(str(name))))
+
+
 def scene_columns(table: pd.DataFrame) -> pd.DataFrame:
-    """A column for every scenario key of a campaign's table: human units, else text."""
+    """A column for every scenario key of a campaign's table, in human units, else text.
+
+    The last one has the control points that a run has, as JSON; '' for none.
+    """
     def column(field: ScenarioField) -> pd.Series[Any]:
         number = field.kind is Kind.NUMBER
         before = _BEFORE.get(field.key, math.nan if number else '')
         found = table.get(field.key, pd.Series(before, table.index))
         return found.astype('float64' if number else str)
 
-    return pd.DataFrame({field.key: column(field) for field in fields.SCENARIO_FIELDS})
+    points = table[[name for name in table.columns if is_point(str(name))]]
+    texts = [''] * len(table) if points.empty else [
+        json.dumps({name: value for name, value in row.items() if not pd.isna(value)})
+        for row in points.to_dict('records')
+    ]
+    return pd.DataFrame({
+        **{field.key: column(field) for field in fields.SCENARIO_FIELDS},
+        'signals': pd.Series(texts, table.index, dtype=object),
+    })
 
 
 def varied(
-    frame: pd.DataFrame, features: tuple[Feature, ...] = ALL_FEATURES
+    frame: pd.DataFrame, features: tuple[Feature, ...] | None = None
 ) -> tuple[Feature, ...]:
-    """The features that have more than one value here."""
+    """The features, of all or of some, that have more than one value here."""
+    features = features_of(frame.columns) if features is None else features
     return tuple(feature for feature in features if frame[feature.name].nunique() > 1)
 
 

@@ -21,6 +21,7 @@ from taxinet_ros.core.camera.light import Light, display_code, linear_exposure
 from taxinet_ros.core.camera.texture import Floats, smooth_noise
 from taxinet_ros.core.faults import begun, frame_lost
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import EXPOSURE_JUMP
 
 _LINEAR = linear_exposure(np.minimum(np.arange(256.0), 254.5)).astype(np.float32)
 """Linear exposure by display code; for white, the least one."""
@@ -84,7 +85,6 @@ class LensFaults:
         )
         focal = float(intrinsics[0, 0]), float(intrinsics[1, 1])
         seed = int(scenario.fault_seed)
-        self._gain = 2.0**scenario.exposure_jump_ev
         self._dirt = self._drops = None
         if scenario.lens_dirt_fraction:
             self._dirt = _dirt(seed, scenario.lens_dirt_fraction, size, focal)
@@ -93,10 +93,10 @@ class LensFaults:
         beam = float(light.direct.max()) / float(light.total.max())
         self._ghost = scenario.glare_ghost_fraction * beam
         self._shines = self._ghost > 0 and light.sun_elevation_rad > 0
-        self._changes_light = (
-            self._dirt is not None or self._drops is not None or self._shines or self._gain != 1.0
+        self._covered = self._dirt is not None or self._drops is not None or self._shines
+        self.any = (
+            self._covered or scenario.ever(EXPOSURE_JUMP) or scenario.camera_dropout_fraction > 0
         )
-        self.any = self._changes_light or scenario.camera_dropout_fraction > 0
 
     def apply(
         self, picture: NDArray[np.uint8], to_optical: NDArray[np.float64], stamp_ns: int
@@ -110,7 +110,8 @@ class LensFaults:
         """
         if frame_lost(self._scenario, stamp_ns):
             return np.zeros_like(picture)
-        if not (self._changes_light and begun(self._scenario, stamp_ns)):
+        gain = 2.0**self._scenario.at(EXPOSURE_JUMP, stamp_ns)
+        if not ((self._covered or gain != 1.0) and begun(self._scenario, stamp_ns)):
             return picture
         linear: Floats = _LINEAR[picture]
         if self._drops is not None:
@@ -120,7 +121,7 @@ class LensFaults:
             linear += self._dirt * (scattered - linear)
         if self._shines:
             self._add_ghosts(linear, to_optical)
-        linear *= np.float32(self._gain / _BRIGHTEST)
+        linear *= np.float32(gain / _BRIGHTEST)
         roots = np.sqrt(np.clip(linear, 0, 1)) * np.float32(_ROOTS - 1)
         return _CODE[np.rint(roots).astype(np.uint16)]
 

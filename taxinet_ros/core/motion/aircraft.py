@@ -29,6 +29,8 @@ from taxinet_ros.core.rig.aircraft_model import (
 )
 from taxinet_ros.core.rig.model_files import write_model_files
 from taxinet_ros.core.scenario import Scenario, check_camera_height
+from taxinet_ros.core.scenario_fields import GUST, WIND_DIRECTION, WIND_SPEED
+from taxinet_ros.core.signals import kept_signals
 from taxinet_ros.core.types import FOOT_M, NS_PER_S, AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
@@ -181,9 +183,13 @@ def _pull_down(fdm: jsbsim.FGFDMExec, slope_rad: float, along_rad: float) -> Non
     fdm['external_reactions/slope/magnitude'] = fdm['inertia/weight-lbs'] * math.sin(slope_rad)
 
 
-def _wind_values(scenario: Scenario) -> tuple[float, ...]:
+_WIND = (WIND_SPEED, WIND_DIRECTION, GUST)
+
+
+def _wind_values(scenario: Scenario) -> tuple[float | str, ...]:
     return (
-        scenario.wind_speed_mps, scenario.wind_direction_rad, scenario.gust_mps, scenario.gust_seed
+        scenario.wind_speed_mps, scenario.wind_direction_rad, scenario.gust_mps, scenario.gust_seed,
+        kept_signals(scenario.signals, _WIND),
     )
 
 
@@ -195,13 +201,19 @@ class Wind:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Compute the wind vector."""
-        speed_mps, from_rad = scenario.wind_speed_mps, scenario.wind_direction_rad
-        self._north_mps = -speed_mps * math.cos(from_rad)
-        self._east_mps = -speed_mps * math.sin(from_rad)
-        self.steady = not scenario.gust_mps
+        """Compute the wind vector at the start."""
+        self._scenario = scenario
+        self.steady = not scenario.ever(GUST)
         self._gusts = Gusts(scenario.gust_mps, int(scenario.gust_seed))
+        self._now = self._at(0)
         self._values = _wind_values(scenario)
+
+    def _at(self, stamp_ns: int) -> tuple[float, float]:
+        """Mean wind to the north and to the east; its gusts follow."""
+        speed_mps, from_rad, self._gusts.sigma_mps = (
+            self._scenario.at(field, stamp_ns) for field in _WIND
+        )
+        return -speed_mps * math.cos(from_rad), -speed_mps * math.sin(from_rad)
 
     def is_of(self, scenario: Scenario) -> bool:
         """Whether a scenario has this wind."""
@@ -209,13 +221,22 @@ class Wind:
 
     def begin(self, fdm: jsbsim.FGFDMExec) -> None:
         """Set the mean wind in JSBSim."""
-        fdm['atmosphere/wind-north-fps'] = self._north_mps / FOOT_M
-        fdm['atmosphere/wind-east-fps'] = self._east_mps / FOOT_M
+        north_mps, east_mps = self._now
+        fdm['atmosphere/wind-north-fps'] = north_mps / FOOT_M
+        fdm['atmosphere/wind-east-fps'] = east_mps / FOOT_M
+
+    def follow(self, fdm: jsbsim.FGFDMExec, stamp_ns: int) -> None:
+        """Set the wind of a simulated time, where it changes; the gusts go on."""
+        before, self._now = self._now, self._at(stamp_ns)
+        if self._now != before:
+            self.begin(fdm)
 
     def gusts(self, fdm: jsbsim.FGFDMExec, steps: int) -> Iterator[None]:
         """Set the gust at the aircraft's position before each of ``steps`` physics steps."""
-        north_mps = fdm['velocities/v-north-fps'] * FOOT_M - self._north_mps
-        east_mps = fdm['velocities/v-east-fps'] * FOOT_M - self._east_mps
+        north_mps, east_mps = (
+            fdm[f'velocities/v-{way}-fps'] * FOOT_M - wind_mps
+            for way, wind_mps in zip(('north', 'east'), self._now, strict=True)
+        )
         way_mps = math.hypot(north_mps, east_mps)
         # The specification aligns its axes with the mean relative wind; without one (at rest in
         # still air) the axes are arbitrary.
@@ -286,7 +307,7 @@ class Aircraft:
         assert model.speed_gains is not None
         self._settled, self._gains = model.settled, model.speed_gains
         self._hold = SpeedHold(self._gains)
-        self._wind = Wind(scenario) if scenario.wind_speed_mps or scenario.gust_mps else None
+        self._wind = Wind(scenario) if scenario.windy else None
         self._fdm = self._load(model.model, scenario=scenario)
         self._friction = FRICTION[scenario.surface]
         self._full_steering_rad = full_steering_rad(model)
@@ -334,13 +355,22 @@ class Aircraft:
             scenario: the scene. Whether it has wind has to be as before, as the model of windy air
                 is another.
         """
-        if (self._wind is None) is bool(scenario.wind_speed_mps or scenario.gust_mps):
+        if (self._wind is None) is scenario.windy:
             raise ValueError('wind cannot come up or die down, as the loaded model is another then')
         if self._wind is not None and not self._wind.is_of(scenario):
             self._wind = Wind(scenario)
             self._wind.begin(self._fdm)
             self._fdm['atmosphere/gust-north-fps'] = self._fdm['atmosphere/gust-east-fps'] = 0.0
-        if (friction := FRICTION[scenario.surface]) != self._friction:
+        self._set_friction(scenario.surface)
+
+    def follow(self, scenario: Scenario, stamp_ns: int) -> None:
+        """Set wind and friction of a simulated time, in a scene where they change."""
+        if self._wind is not None:
+            self._wind.follow(self._fdm, stamp_ns)
+        self._set_friction(scenario.surface_at(stamp_ns))
+
+    def _set_friction(self, surface: str) -> None:
+        if (friction := FRICTION[surface]) != self._friction:
             self._fdm['ground/static-friction-factor'] = self._friction = friction
 
     def _integrate(self) -> bool:

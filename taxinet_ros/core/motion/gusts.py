@@ -30,7 +30,11 @@ _C = 1.0 - 1.0 / math.sqrt(3.0)
 
 
 class Gusts:
-    """Gusts along one aircraft's path through the air."""
+    """Gusts along one aircraft's path through the air.
+
+    Attributes:
+        sigma_mps: standard deviation of each component [m/s]; may change on the way.
+    """
 
     def __init__(self, sigma_mps: float, seed: int) -> None:
         """Draw the initial gust.
@@ -40,7 +44,7 @@ class Gusts:
             seed: random seed.
         """
         self._draws = np.random.Generator(np.random.PCG64(seed))
-        self._sigma_mps = sigma_mps
+        self.sigma_mps = sigma_mps
         # In units of sigma and L: u is low-pass filtered white noise; v has two low-passes in
         # series, with stationary covariance ((1/2, 1/4), (1/4, 1/4)).
         first, second, third = self._draws.standard_normal(3).tolist()
@@ -51,12 +55,12 @@ class Gusts:
     @property
     def along_mps(self) -> float:
         """Gust velocity in the aircraft's direction of motion through the air [m/s]."""
-        return self._sigma_mps * self._u
+        return self.sigma_mps * self._u
 
     @property
     def across_mps(self) -> float:
         """Gust velocity to the right of that direction [m/s]."""
-        return self._sigma_mps * math.sqrt(3.0) * (self._slow - _C * self._slower)
+        return self.sigma_mps * math.sqrt(3.0) * (self._slow - _C * self._slower)
 
     def advance(self, way_m: float) -> None:
         """Move through the air by ``way_m`` [m]."""

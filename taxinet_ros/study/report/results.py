@@ -12,9 +12,10 @@ import pandas as pd
 
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting, runs_of
+from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
 from taxinet_ros.analysis.runs.settled import settled_cross_track_m
 from taxinet_ros.core.perception.weights import weights_path
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS, SHORT_FORMS
+from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.reading import read_file
@@ -310,7 +311,7 @@ def _pair(first: Network, second: Network) -> Pair:
     )
     common = one.index.intersection(other.index)
     one, other = one.loc[common], other.loc[common]
-    for name in HUMAN_KEYS:
+    for name in SCENE_COLUMNS:
         if not one[name].equals(other[name]):
             raise UsageError(
                 f'{first.runs.path} and {second.runs.path}: differ in {name}; evaluate both '

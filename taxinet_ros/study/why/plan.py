@@ -19,7 +19,15 @@ from taxinet_ros.analysis.explain.counterfactual import Factor, factors, run_fac
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS, PUSHING_FIELDS, RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    CAMERA_OFFSETS,
+    FAULTS,
+    FORM,
+    PUSHING_FIELDS,
+    RAIN_CLOUDS,
+    split_point,
+)
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import scenario_program
@@ -179,7 +187,12 @@ def blamed_change(scenario: Scenario, name: str) -> Change | None:
     if name not in known:
         return None
     before, after = scenario.to_human(), known[name].scenario.to_human()
-    values = {key: value for key, value in after.items() if value != before[key]}
+    values = {key: value for key, value in after.items() if value != before.get(key)}
+    # Without its control points, a value stays as it is at the start.
+    values |= {
+        name: after[split_point(name)[0]] for name in before.keys() - after.keys()
+        if split_point(name)[1] != FORM
+    }
     return Change(words=known[name].words, values=_possible(values))
 
 
@@ -192,6 +205,7 @@ def region_change(region: Region) -> Change | None:
     words = []
     absent = {field.key: field for field in (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)}
     for part in region.parts:
+        key, later = split_point(part.feature) if isinstance(part, Interval | Kinds) else ('', '')
         if isinstance(part, Interval) and part.feature == 'rain_percent' and part.low:
             values['rain_percent'] = 0.0
             words.append('dry')
@@ -201,10 +215,9 @@ def region_change(region: Region) -> Change | None:
         elif isinstance(part, Kinds) and part.feature == 'clouds' and 'clear' not in part.kinds:
             values['clouds'] = 'clear'
             words.append('under a clear sky')
-        elif isinstance(part, Interval | Kinds) and part.feature in absent:
-            field = absent[part.feature]
-            values[field.key] = field.to_human(field.absent)
-            words.append(f'without {field.title}')
+        elif isinstance(part, Interval | Kinds) and key in absent and later != FORM:
+            values[part.feature] = absent[key].to_human(absent[key].absent)
+            words.append(f'without {BY_KEY[part.feature].title}')
     return Change(words=', '.join(words), values=_possible(values)) if values else None
 
 

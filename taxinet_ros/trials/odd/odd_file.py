@@ -38,12 +38,15 @@ import numpy.typing as npt
 
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
+    FORM,
     HUMAN_KEYS,
     SHORT_FORMS,
     TIME_OF_DAY,
     Kind,
     ScenarioField,
     by_key,
+    is_point,
+    split_point,
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
@@ -223,13 +226,24 @@ class Odd:
         return tuple(len(one.cells) for one in self.parameters)
 
     def place(self, scene: Mapping[str, Any]) -> tuple[int, ...]:
-        """Cell of each parameter in a scene given by key, as in tables."""
-        return tuple(one.place(scene[one.key]) for one in self.parameters)
+        """Cell of each parameter in a scene given by key, as in tables.
+
+        A value that changes within the run from one cell to another is in none.
+        """
+        moments = [
+            [one.place(moment[one.key]) for one in self.parameters] for moment in _moments(scene)
+        ]
+        return tuple(
+            cells[0] if len(set(cells)) == 1 else OUTSIDE for cells in zip(*moments, strict=True)
+        )
 
     def excluded_by(self, scene: Mapping[str, Any]) -> Exclusion | None:
-        """The first exclusion that a scene is in, or None."""
-        values = {number: scene[one.key] for number, one in enumerate(self.parameters)}
-        return next((one for one in self.exclusions if one.holds(values)), None)
+        """The first exclusion that a scene is in at any control point, or None."""
+        moments = [
+            {number: moment[one.key] for number, one in enumerate(self.parameters)}
+            for moment in _moments(scene)
+        ]
+        return next((one for one in self.exclusions if any(map(one.holds, moments))), None)
 
     def inside(self, scene: Mapping[str, Any]) -> tuple[int, ...] | None:
         """Cells of a scene inside the ODD; None if it is outside."""
@@ -302,6 +316,15 @@ class Odd:
         return found
 
 
+def _moments(scene: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """A scene, and the same with the value of each of its control points."""
+    yield scene
+    for name in filter(is_point, scene):
+        key, part = split_point(name)
+        if part != FORM:
+            yield {**scene, key: scene[name]}
+
+
 def known_odds() -> tuple[str, ...]:
     """Sorted names of the shipped ODDs."""
     return shipped_documents(FOLDER, SUFFIX)
@@ -334,7 +357,7 @@ def read_odd(path: Path) -> Odd:
     except UsageError as error:
         raise section.wrong(str(error)) from None
     for given in keys.values():
-        if given not in BY_KEY and given not in SHORT_FORMS:
+        if given not in HUMAN_KEYS and given not in SHORT_FORMS:
             raise section.wrong(f'unknown key; known: {", ".join(HUMAN_KEYS)}', given)
     if not keys:
         raise top.wrong('has no parameter', 'parameters')

@@ -24,7 +24,7 @@ from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timi
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, is_point
 from taxinet_ros.core.system import System, digest_of
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -43,7 +43,7 @@ from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
 from taxinet_ros.trials.rates import sample_size_was_fixed
 from taxinet_ros.trials.record.columns import rho_column, specs_of
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import RunRow, scene_attributes
 from taxinet_ros.trials.record.table import read_any_table
 from taxinet_ros.trials.record.table import table as table_of
 from taxinet_ros.trials.worker_pool import Task
@@ -202,6 +202,9 @@ def _row(values: Mapping[Any, Any], spec: str) -> RunRow:
         value = values.get(known.key)
         missing = value is None or value != value or value is pd.NA
         scene[known.key] = usual[known.key] if missing else value
+    scene['signals'] = {
+        name: value for name, value in values.items() if is_point(name) and not pd.isna(value)
+    }
     return RunRow(
         run_id=str(values['run_id']), index=int(values['index']), program=str(values['program']),
         seed=int(values.get('seed', 0)), perception=str(values['perception']),
@@ -219,7 +222,7 @@ def _of_run(path: Path) -> SceneSet:
     row = RunRow(
         run_id=run.run_id, index=0, program='', seed=run.seed, perception=run.perception,
         outcome=run.outcome if run.outcome.judged else Outcome.INTERRUPTED,
-        robustness=run.robustness if run.outcome.judged else {}, **run.scenario.to_human(),
+        robustness=run.robustness if run.outcome.judged else {}, **scene_attributes(run.scenario),
     ) if run.robustness or not run.outcome.judged else None
     if row is None:
         raise UsageError(f'{path}: its verdict is not recorded')
@@ -264,7 +267,7 @@ def scenes_of_program(
                 run_id=f'{name}-s{seed}-{index:05d}', index=index,
                 program=scenes_words(name, overrides), seed=seed,
                 perception='', outcome=Outcome.INTERRUPTED, sampler='random',
-                **scenario.to_human(),
+                **scene_attributes(scenario),
             )
             scenes.append(Scene(row=row, scenario=scenario, exact=True))
     return SceneSet(

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from taxinet_ros.core.mtl.interval import lower_column, upper_column
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, is_point
 
 POINT = 'u_'
 """Prefix of the column of a dimension of the search space."""
-PREFIXES = {'point': POINT, 'free': 'free_', 'sigma': 'sigma_'}
+PREFIXES = {'point': POINT, 'free': 'free_', 'sigma': 'sigma_', 'signals': ''}
 """Prefixes of the columns of a row's mappings; a table has those that some row has."""
 
 RHO = 'rho'
@@ -76,12 +76,14 @@ def column_types(
 
     Args:
         specs: names of the formulas, headline first.
-        columns: names of the table's columns; of these, those with one of :data:`PREFIXES` count.
+        columns: names of the table's columns; of these, those with one of :data:`PREFIXES` and
+            those of control points count.
     """
     point, *figures = (
         {name: 'float64' for name in columns if name.startswith(start)}
-        for start in PREFIXES.values()
+        for start in PREFIXES.values() if start
     )
+    figures.insert(0, {name: BY_KEY[name].column_type for name in columns if is_point(name)})
     return {
         **_BEFORE_POINT, **point,
         **_BEFORE_RHO, RHO: 'float64',

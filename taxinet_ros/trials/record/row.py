@@ -13,7 +13,9 @@ from taxinet_ros.bag.layout import is_bag_name, is_run_name
 from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import parse_timing
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS
+from taxinet_ros.core.signals import checked_signals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.record.columns import LONGER
@@ -50,6 +52,7 @@ class RunRow:
             loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
             fault_onset_s, fault_seed, traffic, camera, datarefs, duration_s, place: the scenario,
             see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
+        signals: its control points by key, see :mod:`taxinet_ros.core.signals`.
         outcome: how the run ended.
         kind, who, detail: why a run was not judged: kind of error, what failed, and one line.
         robustness: robustness by name of the formula, the headline first; judged runs only. Rho is
@@ -129,6 +132,7 @@ class RunRow:
     datarefs: str = ''
     duration_s: float | None = None
     place: str = ''
+    signals: Mapping[str, float | str] = field(default_factory=dict)
     kind: str = ''
     who: str = ''
     detail: str = ''
@@ -193,6 +197,11 @@ class RunRow:
                 raise ValueError(
                     f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
                 )
+        try:
+            if self.signals:
+                checked_signals(self.signals, self.duration_s or 0.0)
+        except UsageError as error:
+            raise ValueError(str(error)) from error
         for key, catalogue in CATALOGUES.items():
             value = getattr(self, key)
             if value and not catalogue.is_reference(value):
@@ -213,7 +222,9 @@ class RunRow:
     @property
     def scene(self) -> dict[str, Any]:
         """The scenario by key, in human units; None, or '' for words, if none could be drawn."""
-        return {known.key: getattr(self, known.key) for known in SCENARIO_FIELDS}
+        return {
+            **{known.key: getattr(self, known.key) for known in SCENARIO_FIELDS}, **self.signals,
+        }
 
     @property
     def unusable_share(self) -> float:
@@ -287,7 +298,7 @@ class RunRow:
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
             perception=perception, fingerprint=result.fingerprint,
             timing=result.timing, free=dict(result.free),
-            **request.scenario.to_human(),
+            **scene_attributes(request.scenario),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             robustness=dict(result.robustness), **_figures(result, sim_s),
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
@@ -325,6 +336,13 @@ class RunRow:
         row = cls(**{**values, 'outcome': Outcome(values['outcome']), 'robustness': robustness})
         row.check()
         return row
+
+
+def scene_attributes(scenario: Scenario) -> dict[str, Any]:
+    """A scenario as attributes of a row."""
+    values = scenario.to_human()
+    signals = {name: values.pop(name) for name in scenario.points}
+    return {**values, 'signals': signals}
 
 
 _NOTHING = object()

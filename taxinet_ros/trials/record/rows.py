@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.mtl.interval import lower_column, upper_column
+from taxinet_ros.core.scenario_fields import BY_KEY, is_point
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.record.columns import (
@@ -216,13 +217,17 @@ def _columns(texts: Sequence[str], names: Sequence[str], rest: str) -> pa.Table:
 
 
 def _of_mapping(name: str, values: Any) -> Iterator[tuple[str, Any]]:
-    """Columns of an attribute that is a mapping of numbers or of intervals."""
+    """Columns of an attribute that is a mapping of numbers, of control points or of intervals."""
     import pyarrow as pa
     import pyarrow.compute
 
     if name not in (*PREFIXES, 'robustness') or not pa.types.is_struct(values.type):
         raise ValueError(f'{name} is {values.type}')
     for field, column in zip(values.type, values.flatten(), strict=True):
+        if name == 'signals' and is_point(field.name):
+            words = BY_KEY[field.name].column_type == 'string'
+            yield field.name, column.cast(pa.string() if words else pa.float64())
+            continue
         if name in PREFIXES:
             yield PREFIXES[name] + field.name, column.cast(pa.float64())
             continue

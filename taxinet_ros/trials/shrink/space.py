@@ -23,6 +23,7 @@ from taxinet_ros.core.scenario_fields import (
     FAULT_ONSET,
     FAULT_SEED,
     FAULTS,
+    FORM,
     GUST,
     GUST_SEED,
     PUSHING_FIELDS,
@@ -31,6 +32,8 @@ from taxinet_ros.core.scenario_fields import (
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
+    is_point,
+    split_point,
 )
 from taxinet_ros.core.traffic.traffic import NOBODY, traffic_of
 from taxinet_ros.core.traffic.traffic_file import typed_traffic
@@ -58,7 +61,8 @@ KEYS = (
     *(field.key for field in (*FAULTS, *CAMERA_OFFSETS)), 'traffic', 'shadows', 'crossing', 'date',
     'aircraft',
 )
-"""Parameters to move to nominal; the last four keep the run's values unless given."""
+"""Parameters to move to nominal, with their control points; the last four keep the run's values
+unless given."""
 _FOLLOWERS = {
     WIND_DIRECTION: (WIND_SPEED,), GUST_SEED: (GUST,), FAULT_ONSET: FAULTS,
     FAULT_SEED: DRAWN_FAULTS,
@@ -71,7 +75,7 @@ class Parameter:
     """One parameter, in human units.
 
     Attributes:
-        key: one of :data:`KEYS`.
+        key: one of :data:`KEYS`, or a control point of one.
         values: from nominal to the failed run's; a single one if the two are equal.
     """
 
@@ -81,7 +85,7 @@ class Parameter:
     @property
     def axis(self) -> Axis:
         """The parameter as a search axis."""
-        return Axis(steps=len(self.values) - 1, scan=self.key not in STEPS)
+        return Axis(steps=len(self.values) - 1, scan=split_point(self.key)[0] not in STEPS)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -116,9 +120,11 @@ class ShrinkSpace:
         }
         drawn = self.original.to_human()
         changed |= _followers({**drawn, **changed})
-        built = scenario_from_human({**drawn, **changed})
-        names = [BY_KEY[key].attribute for key in changed]
-        return dataclasses.replace(self.original, **{name: getattr(built, name) for name in names})
+        built = scenario_from_human(_without_level_signals({**drawn, **changed}))
+        names = [BY_KEY[key].attribute for key in changed if not is_point(key)]
+        return dataclasses.replace(self.original, **{
+            name: getattr(built, name) for name in (*names, 'signals')
+        })
 
     def possible(self, point: Point, axis: int) -> Point:
         """``point`` with clouds or rain set to nominal if the sky does not allow the rain.
@@ -160,18 +166,21 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)
     pushed = {field.key: field.to_human(field.absent) for field in moved}
     pushed[TRAFFIC.key] = NOBODY
-    usual |= {key: value for key, value in pushed.items() if key in KEYS and drawn[key] != value}
+    pushed |= {name: pushed[key] for key in KEYS for name in _points(key, drawn)}
+    keys = [name for key in KEYS for name in (key, *_points(key, drawn))]
+    usual |= {key: value for key, value in pushed.items() if key in keys and drawn[key] != value}
     try:
         asked = {**drawn, **usual, **chosen}
-        nominal = scenario_from_human({**asked, **_followers(asked)})
+        nominal = scenario_from_human(_without_level_signals({**asked, **_followers(asked)}))
         if 'aircraft' in chosen:  # in the run's own wind, as it may be moved first
             scenario_from_human({**drawn, 'aircraft': chosen['aircraft']})
     except UsageError as error:
         raise UsageError(f'--nominal: {str(error).removeprefix("scenario: ")}') from None
     wanted = nominal.to_human()
+    wanted = {**{name: wanted[split_point(name)[0]] for name in original.points}, **wanted}
     parameters = tuple(
         Parameter(key=key, values=_values(key, wanted[key], drawn[key]))
-        for key in KEYS if key in usual or key in chosen
+        for key in keys if key in usual or key in chosen
     )
     space = ShrinkSpace(original=original, nominal=nominal, parameters=parameters)
     if not space.moving:
@@ -186,7 +195,7 @@ def _chosen(settings: Iterable[str]) -> dict[str, str]:
     except UsageError as error:
         raise UsageError(f'--nominal {str(error).removeprefix("scenario: ")}') from None
     for key in chosen:
-        if key not in KEYS:
+        if split_point(key)[0] not in KEYS:
             raise UsageError(f'--nominal {key}: unknown; known: {", ".join(KEYS)}')
     return chosen
 
@@ -194,8 +203,31 @@ def _chosen(settings: Iterable[str]) -> dict[str, str]:
 def _followers(values: Mapping[str, Any]) -> dict[str, float]:
     """Parameters that follow others of a scene's values to 0."""
     return {
-        follower.key: 0.0 for follower, leaders in _FOLLOWERS.items()
-        if not any(leader.from_human(values[leader.key]) for leader in leaders)
+        name: 0.0 for follower, leaders in _FOLLOWERS.items()
+        if not any(
+            leader.from_human(values[name]) for leader in leaders
+            for name in (leader.key, *_points(leader.key, values))
+        )
+        for name in (follower.key, *_points(follower.key, values))
+    }
+
+
+def _points(key: str, values: Iterable[str]) -> list[str]:
+    """Names of a parameter's control points among those of a scene's values."""
+    return [name for name in values if split_point(name)[0] == key != name
+            and split_point(name)[1] != FORM]
+
+
+def _without_level_signals(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A scene's values without signals that stay as they are at the start, which are none."""
+    level = {
+        key for key in {split_point(name)[0] for name in values if is_point(name)}
+        if all(BY_KEY[name].from_human(values[name]) == BY_KEY[key].from_human(values[key])
+               for name in _points(key, values))
+    }
+    return {
+        name: value for name, value in values.items()
+        if not (is_point(name) and split_point(name)[0] in level)
     }
 
 
@@ -206,9 +238,9 @@ def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
         return _fewer(nominal, original)
     if BY_KEY[key].words:
         return _words(BY_KEY[key].words, nominal, original)
-    if key not in STEPS:
+    if (step := STEPS.get(split_point(key)[0])) is None:
         return nominal, original
-    step = math.copysign(STEPS[key], original - nominal)
+    step = math.copysign(step, original - nominal)
     # A rounding error must not add a step.
     whole = math.ceil(round(abs(original - nominal) / abs(step), 6))
     return (*(round(nominal + k * step, 9) for k in range(max(whole, 1))), original)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import shlex
 from dataclasses import asdict
 from pathlib import Path
@@ -432,6 +433,25 @@ PARTS = (
     Either(either=(Interval(feature='time_of_day_h', low=None, high=9.0),
                    Interval(feature='distance_m', low=1000.0, high=None))),
 )
+
+
+def test_t5_given_a_cause_at_a_control_point_then_it_is_named_and_its_program_draws_it(tmp_path):
+    point = 'wind_speed_mps@2.5'
+    gust = np.random.default_rng(3).uniform(0, 20, 500)
+    table = planted_table(
+        500, 1, lambda t: np.where(t[point] > 12, 0.9, 0.05), **{point: gust}
+    ).assign(program='gusty')
+    runs = planted_runs(table, tmp_path)
+    (cause, *_) = find_causes(runs).found
+    assert [part.feature for part in cause.region.parts] == [point]
+    assert re.fullmatch(r'wind above 1[12]\.\d m/s at 2\.5 s', cause.region.words())
+    runs.facts.update(FACTS, program_text=(
+        '# --- gusty.scenic ---\nmodel runway_world\nego = new Plane at (0, 400)\n'
+        "param 'wind_speed@2.50' = Range(0, 20)\n"
+    ))
+    program = tmp_path / 'cause.scenic'
+    program.write_text(cause_program(runs, cause))
+    assert all(scene.points[point] >= 11 for scene in sample_scenarios(program, 5, 6))
 
 
 @pytest.mark.parametrize('form', ['keys', 'short forms'])

@@ -240,3 +240,25 @@ def test_given_what_fails_and_what_pushes_then_the_run_is_driven_again_without_e
     assert wanted[3].scenario == dataclasses.replace(
         biased, runway_state='wet', loop_delay_s=0.2,
     )
+
+
+def test_given_what_changes_within_a_run_then_the_run_is_driven_again_with_it_as_at_the_start():
+    calm = Scenario(cross_track_m=2.0, duration_s=15.0)
+    scene = dataclasses.replace(calm, wind_speed_mps=4.0, **{
+        'wind_speed_mps@5': 20.0, 'wind_direction_deg@5': 90.0, 'steering_bias_deg@4': 12.0,
+        'runway_state@3': 'wet', 'exposure_jump_ev@2': 1.0,
+    })
+    wanted = {factor.name: factor for factor in run_factors(scene)}
+    assert list(wanted) == [
+        'exposure_jump_ev', 'steering_bias_deg', 'faults', 'wind', 'friction', 'wind_speed_mps@',
+        'all',
+    ]
+    assert wanted['all'].scenario == calm
+    assert wanted['wind_speed_mps@'].words == 'with the wind as at the start'
+    assert 'wind_speed_mps@5' not in wanted['wind_speed_mps@'].scenario.points
+    assert set(wanted['wind'].scenario.points) == {
+        'steering_bias_deg@4', 'runway_state@3', 'exposure_jump_ev@2'}
+    assert set(wanted['friction'].scenario.points) == {*scene.points} - {'runway_state@3'}
+    assert 'exposure_jump_ev' in {factor.name for factor in factors(scene)}
+    found = reruns(recorded(scene), make_perception('truth'))
+    assert [rerun.outcome for rerun in found[:3]] == ['FAIL', 'FAIL', 'PASS']

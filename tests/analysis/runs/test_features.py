@@ -11,7 +11,9 @@ from taxinet_ros.analysis.runs.features import (
     BY_NAME,
     FAULT_FEATURES,
     PUSHING_FEATURES,
+    SCENE_COLUMNS,
     feature_columns,
+    scene_columns,
     varied,
 )
 from taxinet_ros.core.scenario import scenario_from_human
@@ -26,7 +28,7 @@ from taxinet_ros.core.scenario_fields import (
     TRAFFIC,
 )
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import RunRow, scene_attributes
 from taxinet_ros.trials.record.table import table
 
 PUSHED = {
@@ -98,3 +100,31 @@ def test_given_an_interval_then_it_reads_as_people_say_it():
     assert BY_NAME['lens_dirt_percent'].interval_words(20.0, None) == (
         'dirt on the lens of 20 % or more'
     )
+
+
+def test_given_control_points_that_all_runs_have_then_each_is_a_feature_and_tells_scenes_apart():
+    scenes = [
+        {'wind_speed@5': 3.0, 'runway_state@2': 'icy'},
+        {'wind_speed@5': 9.0, 'runway_state@2': 'wet', 'wind_speed@form': 'cubic'},
+    ]
+    frame = table([
+        RunRow(
+            run_id=f'run-{index}', index=index, program='p', seed=0, perception='truth',
+            outcome=Outcome.INFRA_ERROR, **scene_attributes(scenario_from_human(scene)),
+        ) for index, scene in enumerate(scenes)
+    ])
+    features = feature_columns(frame)
+    assert features['wind_speed_mps@5'].tolist() == [3.0, 9.0]
+    assert [feature.name for feature in varied(features)] == ['wind_speed_mps@5', 'runway_state@2']
+    wind, state = (BY_NAME[name] for name in ('wind_speed_mps@5', 'runway_state@2'))
+    assert wind.interval_words(2.0, None) == 'wind above 2.0 m/s at 5 s'
+    assert wind.axis == 'wind at 5 s [m/s]'
+    assert state.kinds == BY_NAME['runway_state'].kinds
+    # Nothing is said of what only some runs have; but their scenes differ.
+    assert 'wind_speed_mps@form' not in features
+    some = frame.assign(**{'wind_speed_mps@5': [3.0, np.nan], 'runway_state@2': ['icy', None]})
+    assert not [name for name in feature_columns(some) if '@' in name]
+    told = scene_columns(some)
+    assert tuple(told.columns) == SCENE_COLUMNS
+    assert told['signals'].nunique() == 2
+    assert scene_columns(runs({}, {}))['signals'].tolist() == ['', '']

@@ -50,6 +50,12 @@ SCENES = [
         'steering_rate_limit': 8, 'fault_onset': 1.5, 'fault_seed': 11, 'duration': 6,
     }),
     scenario_from_human({
+        'cross_track': 2, 'duration': 6, 'wind_speed': 2, 'wind_speed@2': 12, 'wind_direction': 350,
+        'wind_direction@5': 40, 'wind_speed@form': 'cubic', 'gust@3': 2, 'gust_seed': 4,
+        'runway_state@2.5': 'icy', 'exposure_jump@4': -1.5, 'loop_delay@3': 0.3,
+        'steering_bias@1': 0, 'steering_bias@1.5': 3,
+    }),
+    scenario_from_human({
         'cross_track': 4.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5, 'duration': 6,
         'traffic': tx.load_traffic([VAN, PARKED, {'kind': 'closed_marking', 'x_m': 735, 'y_m': 0}]),
     }),

@@ -47,7 +47,7 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
         camera_dx_m=0.1, camera_dy_m=0.1, camera_dz_m=-0.1, camera_droll_rad=0.01,
         camera_dpitch_rad=0.1 + 1e-12, camera_dyaw_rad=-0.0123456789012,
         datarefs='{"sim/a/b":1.0}',
-        duration_s=12.0, place='bikf_10',
+        duration_s=12.0, place='bikf_10', signals='{"gust_mps@5":0.9}',
     )
     default = Scenario()
     for field in dataclasses.fields(Scenario):

@@ -49,6 +49,11 @@ def test_given_what_an_explanation_blames_then_the_experiment_changes_just_that(
     assert blamed_change(Scenario(clouds='stratus'), 'clear').values == {
         'clouds': 'clear', 'rain_percent': 0.0}
     assert blamed_change(Scenario(crossing=False), 'crossing') is None
+    # Scenes keep their control points: each takes the value at the start.
+    gusty = Scenario(wind_speed_mps=2.0, **{'wind_speed_mps@5': 9.0, 'runway_state@3': 'icy'})
+    assert blamed_change(gusty, 'wind').values == {'wind_speed_mps': 0.0, 'wind_speed_mps@5': 0.0}
+    assert blamed_change(gusty, 'wind_speed_mps@').values == {'wind_speed_mps@5': 2.0}
+    assert blamed_change(gusty, 'friction').values == {'runway_state@3': 'dry'}
 
 
 def test_given_a_region_then_the_change_takes_scenes_out_of_it():
@@ -60,6 +65,9 @@ def test_given_a_region_then_the_change_takes_scenes_out_of_it():
     assert region_change(Region(parts=(dark,))).values == {'clouds': 'clear', 'rain_percent': 0.0}
     place = Interval(feature='distance_m', low=1180.0, high=1460.0)
     assert region_change(Region(parts=(place,))) is None
+    gust = Interval(feature='wind_speed_mps@5', low=9.0, high=None)
+    assert region_change(Region(parts=(gust,))) == Change(
+        words='without wind at 5 s', values={'wind_speed_mps@5': 0.0})
 
 
 def test_the_experiments_file_is_one_that_taxinet_experiment_reads(tmp_path):

@@ -12,7 +12,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.odd.odd_file import OUTSIDE, UNKNOWN, find_odd, known_odds, read_odd
 from taxinet_ros.trials.odd.openodd import binding_path, openodd_texts, openodd_values
@@ -221,3 +221,20 @@ def test_given_a_unit_that_openodd_lacks_when_exported_then_it_is_refused_by_nam
     odd = odd_of(tmp_path, {'exposure_jump': {'range': [-1, 1]}})
     with pytest.raises(UsageError, match='exposure_jump_ev: its unit EV is none of OpenODD'):
         openodd_values(odd, 'out.yaml')
+
+
+def test_given_a_value_that_changes_then_a_scene_is_in_a_cell_only_if_it_stays_there(tmp_path):
+    odd = odd_of(
+        tmp_path, {'wind_speed': {'range': [0, 10], 'cells': 2}},
+        exclude=[{'when': {'wind_speed': [7, 8]}, 'why': 'no figures'}],
+    )
+    for later, cells in (({}, (0,)), ({'wind_speed@5': 4}, (0,)), ({'wind_speed@5': 7}, (OUTSIDE,)),
+                         ({'wind_speed@5': 12}, (OUTSIDE,))):
+        scene = scenario_from_human({'wind_speed': 3, **later}).to_human()
+        assert odd.place(scene) == cells
+        assert (odd.inside(scene) is None) == (cells == (OUTSIDE,))
+    passing = scenario_from_human({'wind_speed': 6, 'wind_speed@5': 7.5, 'wind_speed@9': 6})
+    assert odd.place(passing.to_human()) == (1,)
+    assert odd.inside(passing.to_human()) is None
+    with pytest.raises(UsageError, match='unknown key'):
+        odd_of(tmp_path, {'wind_speed@5': {'range': [0, 10]}})

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import FAULTS
+from taxinet_ros.core.scenario_fields import FAULTS, WIND_SPEED
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
@@ -455,3 +455,45 @@ def test_given_others_on_the_ground_then_they_are_taken_away_from_the_last_to_th
     assert space.scenario(tuple(top)).traffic == load_traffic(cones[:1])
     assert space.nominal.traffic == 'nobody'
     assert 'traffic' not in {one.key for one in make_shrink_space(WET).parameters}
+
+
+def test_given_a_run_with_signals_then_its_control_points_go_to_nominal_one_by_one(tmp_path):
+    gusty = scenario_from_human({
+        'wind_speed': 2, 'wind_direction': 90, 'wind_direction@3': 100, 'wind_speed@5': 12,
+        'wind_speed@8': 3, 'wind_speed@form': 'cubic', 'runway_state@4': 'icy', 'cross_track': 1,
+        'time_of_day': 10, 'distance': 1000,
+    })
+    space = make_shrink_space(gusty)
+    moving = {one.key: one for one in space.moving}
+    assert list(moving) == [
+        'cross_track_m', 'wind_speed_mps', 'wind_speed_mps@5', 'wind_speed_mps@8', 'runway_state@4',
+    ]
+    assert moving['wind_speed_mps@8'].values == (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+    assert moving['runway_state@4'].values == ('dry', 'auto', 'wet', 'icy')
+    assert [moving[key].axis.scan for key in moving] == [False, False, False, False, True]
+    top = tuple(one.axis.steps for one in space.moving)
+    assert space.scenario(top) == gusty
+    # A signal that stays at its start is none, and a direction without wind goes with it.
+    assert space.scenario((0,) * 5) == space.nominal
+    assert space.nominal.signals == ''
+    assert not space.nominal.pushed
+    assert space.scenario((top[0], 0, 0, 0, top[4])).points == {'runway_state@4': 'icy'}
+
+    def judge(request: RunRequest) -> RunResult:
+        """A failure in a wind of more than 6 m/s at 5 s."""
+        rho = 6.2 - request.scenario.at(WIND_SPEED, 5_000_000_000)
+        return dataclasses.replace(
+            judged(request, Outcome.PASS if rho > 0 else Outcome.FAIL),
+            robustness=exact_intervals({NAME: rho}),
+        )
+
+    shrinking = options(campaign(tmp_path / 'c', gusty, outcome=Outcome.FAIL,
+                                 robustness=exact_intervals({NAME: -5.8})), tmp_path / 'out')
+    found = make_report(drive(shrinking, judge).proposer)
+    assert found.state.end is End.MINIMAL
+    assert dict(found.scenario.points) == {
+        'wind_speed_mps@form': 'cubic', 'wind_speed_mps@5': 6.5, 'wind_speed_mps@8': 0.0,
+        'wind_direction_deg@3': 100.0,
+    }
+    assert (found.scenario.wind_speed_mps, found.scenario.runway_state) == (0.0, 'dry')
+    assert [one.key for one in found.findings if one.matters] == ['wind_speed_mps@5']
