@@ -23,6 +23,8 @@ from taxinet_ros.analysis.report.text import (
     sentences,
 )
 from taxinet_ros.analysis.runs.campaign import holm
+from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
+from taxinet_ros.core.perception.weights import SUFFIX
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.registry import KMWH
@@ -280,8 +282,11 @@ def actions(
         kept_bags: whether some failed run has its bag, along whose path pictures can be taken.
     """
     can_train = trainable(evidence.network)
-    fixed = f'{Path(evidence.network).stem if can_train else "fixed"}-fixed.safetensors'
+    network = Path(evidence.network)
+    fixed = f'{network.stem if can_train or network.suffix == ONNX_SUFFIX else "fixed"}-fixed'
+    fixed += ONNX_SUFFIX if network.suffix == ONNX_SUFFIX else SUFFIX
     programs = [cause.program for cause in evidence.causes if cause.program is not None]
+    of_causes = bool(programs)
     if not programs and evidence.scenes is not None:
         programs = [evidence.scenes]
     train = ['train', str(evidence.base or TRAINED), '--start', evidence.network]
@@ -292,7 +297,7 @@ def actions(
     world, camera = world_and_camera(evidence.settings.world if evidence.settings else KMWH)
     found = fill_report(_FOLDER / 'todo.j2', {
         'e': evidence, 'b': evidence.blames or Blames(), 'fault': fault.value,
-        'command': _line, 'campaign': campaign, 'kept_bags': kept_bags, 'programs': programs,
+        'command': _line, 'campaign': campaign, 'kept_bags': kept_bags, 'programs': programs, 'causes': of_causes,
         'world': world, 'our_world': KMWH, 'camera': camera, 'our_camera': OURS, 'added': ADDED,
         'trainable': can_train, 'fixed': fixed, 'train': _line(
             *train, '--epochs', '8', '--learning-rate', '0.001', '--out', fixed),
