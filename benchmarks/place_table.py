@@ -1,4 +1,4 @@
-"""Print the results of a campaign by place, worst first, and by the runways' width and category.
+"""Print the results of a campaign by place, worst first, and by light, runway width and category.
 
 ``python place_table.py CAMPAIGN``: a folder of ``taxinet run`` or ``falsify`` whose program draws
 its place, such as ``places_test.scenic`` here.
@@ -6,6 +6,7 @@ its place, such as ``places_test.scenic`` here.
 
 from __future__ import annotations
 
+import math
 import random
 import statistics
 import sys
@@ -14,9 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import taxinet_ros as tx
+from taxinet_ros.core.camera.light import sun_position
 from taxinet_ros.trials.rates import rate
 
 DRAWS = 2000
+TWILIGHT_DEG = -1.0
+"""Elevation of the sun below which a scene counts as dark: where the training ends."""
 
 
 def percent(low_to_high: Iterable[float]) -> str:
@@ -32,6 +36,13 @@ def over_places(shares: Sequence[float]) -> tuple[float, float, float]:
     return statistics.fmean(shares), found[0], found[-1]
 
 
+def light(scene: tx.Scenario) -> str:
+    """Display text of the sun's height."""
+    elevation_deg = math.degrees(
+        sun_position(scene.date, scene.time_of_day_s, scene.runway)[1])
+    return 'dark' if elevation_deg < TWILIGHT_DEG else 'day'
+
+
 def print_row(title: str, rows: Any) -> None:
     """Print a row of the table."""
     satisfied, off = (rows.outcome == 'PASS').sum(), rows.left_runway.sum()
@@ -43,8 +54,9 @@ def print_tables(folder: Path) -> None:
     """Print the table of a campaign."""
     campaign = tx.open_campaign(folder)
     rows = campaign.rows[campaign.rows.outcome.isin(['PASS', 'FAIL'])].copy()
-    first = {row.place: row for row in campaign.recorded.rows}
-    runways = {place: campaign.recorded.scenario(first[place])[0].runway for place in first}
+    scenes = {row.index: campaign.recorded.scenario(row)[0] for row in campaign.recorded.rows}
+    runways = {row.place: scenes[row.index].runway for row in campaign.recorded.rows}
+    rows['light'] = [light(scenes[index]) for index in rows['index']]
     rows['runway'] = [
         f'{place.split("@")[0]}, {runways[place].width_m:.0f} m, {runways[place].category}'
         for place in rows.place
@@ -55,7 +67,7 @@ def print_tables(folder: Path) -> None:
     print('| runs | n | satisfied | leave the runway |')
     print('| --- | --- | --- | --- |')
     print_row('all', rows)
-    for key in ('width', 'category'):
+    for key in ('light', 'width', 'category'):
         for name, some in rows.groupby(key):
             print_row(name, some)
     for name in passed.sort_values(kind='stable').index:
