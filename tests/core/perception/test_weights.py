@@ -220,5 +220,5 @@ def test_given_the_chain_of_trainings_when_read_then_each_link_is_shipped() -> N
     assert ' --start broad ' in cards['taxinet'].command_line
     for kind in ('generic', 'crossing', 'verifai', 'learned'):
         assert cards[f'iterative-{kind}'].start_sha256 == cards['generic'].weights_sha256
-    for word in ('anywhere', 'broad', 'original', 'generic', 'halton', 'specialised'):
+    for word in ('broad', 'original', 'generic', 'halton', 'specialised'):
         assert cards[word].start_sha256 is None
