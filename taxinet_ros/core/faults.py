@@ -13,6 +13,7 @@ import numpy as np
 
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import PICTURE_FAULTS
+from taxinet_ros.core.sensors import NO_SENSORS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.errors import UsageError
 
@@ -27,8 +28,10 @@ def check_free(scenario: Scenario) -> None:
     """Refuse what a free run cannot have.
 
     Raises:
-        UsageError: the scenario delays the loop.
+        UsageError: the scenario delays the loop, or has sensors.
     """
+    if scenario.sensors != NO_SENSORS:
+        raise UsageError('sensors: not in a free run, where what a step waits for is not known')
     if scenario.loop_delay_s or scenario.loop_jitter_s:
         raise UsageError(
             'loop_delay_s, loop_jitter_s: no effect in a free run, which has real delays'
