@@ -165,12 +165,13 @@ class ForkedWorld(World):
             pictures: False: none will be requested.
 
         Raises:
-            UsageError: the aircraft is placed anew, and there are sensors.
+            UsageError: there are sensors, and a new pose or another seed.
         """
-        if fork.placed is not None and before.sensors != NO_SENSORS:
+        anew = fork.placed is not None or fork.scenario.fault_seed != before.fault_seed
+        if anew and before.sensors != NO_SENSORS:
             raise UsageError(
-                'fork: the aircraft cannot be placed anew in a run with sensors, which would have '
-                'felt it; leave --state out'
+                'fork: in a run with sensors the aircraft cannot be placed anew, nor fault_seed '
+                'change: what they measure goes on'
             )
         self._before, self._fork, self._pictures = before, fork, pictures
         self._world = SimulatedWorld(before, pictures=pictures)

@@ -239,7 +239,7 @@ class Scenario:
         if given and find_sensors(self.sensors).gnss is None:
             raise UsageError(
                 f'scenario: {given[0]} has no effect without a gnss among the sensors; set the key '
-                'sensors, as in --set sensors=standard'
+                'sensors, as in sensors=standard'
             )
         if self.gnss_dropout_start_s and not self.gnss_dropout_s:
             raise UsageError(

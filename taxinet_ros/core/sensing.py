@@ -48,10 +48,10 @@ class Schedule:
         """``period_ns``: control period [ns]."""
         self.scenario, self.period_ns = scenario, period_ns
         self.sensors = scenario.sensor_set
-        # From start and time only, as the camera's noise: the same for each value of other keys.
+        # From start and seed only: the same for each value of other keys.
         start = struct.pack(
-            '<5d', scenario.cross_track_m, scenario.distance_m, scenario.heading_rad,
-            scenario.time_of_day_s, scenario.fault_seed,
+            '<4d', scenario.cross_track_m, scenario.distance_m, scenario.heading_rad,
+            scenario.fault_seed,
         )
         self._seed = list(hashlib.sha256(start).digest())
         self._drawn: dict[tuple[str, int], list[list[float]]] = {}

@@ -7,8 +7,10 @@ simulated time and the true state alone (:mod:`taxinet_ros.core.sensing`).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from taxinet_ros.core.documents import Catalogue, NamedDocument, canonical
 from taxinet_ros.core.place.runway import Runway
@@ -327,3 +329,20 @@ SENSOR_SETS: Catalogue[Sensors] = Catalogue(
 )
 """None, a usual set, and the user's."""
 find_sensors = SENSOR_SETS.find
+
+
+def load_sensors(source: str | Path | Mapping[str, Any]) -> str:
+    """Load sensors beside the camera for a scenario.
+
+    ``Scenario(sensors=load_sensors({'gnss': {'rate_hz': 5, 'noise_m': 1.5}}))``
+
+    Args:
+        source: a shipped name, a YAML file, or the sensors with the keys of such a file
+            (docs/world.md).
+
+    Raises:
+        UsageError: none of these, or a value is not as it should be.
+    """
+    if isinstance(source, Mapping):
+        return make_sensors(dict(source), Path('sensors')).text
+    return SENSOR_SETS.typed(str(source)).text

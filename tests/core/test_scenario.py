@@ -41,7 +41,7 @@ def test_given_degrees_percent_and_hours_then_the_inside_is_radians_fraction_and
 
 
 def test_given_all_human_keys_then_they_cover_every_field_of_a_scenario():
-    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 41
+    assert len(HUMAN_KEYS) == len(dataclasses.fields(Scenario)) == 46
 
 
 @pytest.mark.parametrize(
