@@ -22,7 +22,7 @@ from taxinet_ros.errors import UsageError
 ERRORS = st.builds(TrackingError, cte_m=st.floats(-20, 20), he_rad=st.floats(-1.5, 1.5))
 
 
-class Wrong:
+class Wrong(Perception):
     """A network that is wrong in a way one can foresee."""
 
     word, fingerprint, needs_image = 'wrong', 'abc', True
