@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.perception.substituted import (
     AS_RECORDED,
     TRUTH_CTE,
