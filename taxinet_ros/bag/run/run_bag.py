@@ -160,7 +160,8 @@ class BegunBag:
         self.folder = folder
         self._canonical = canonical_bytes(images, sensors)
         self._writer = BagWriter(
-            folder, bag_topics(images, sensors), metadata=run_words(scenario), beside=commit_words(),
+            folder, bag_topics(images, sensors), metadata=run_words(scenario),
+            beside=commit_words(),
             attachments={'scenario.json': scenario_json(scenario), **attachments},
             min_free_bytes=min_free_bytes, make_parents=make_parents,
         )

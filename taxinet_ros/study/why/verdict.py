@@ -298,7 +298,8 @@ def actions(
     found = fill_report(_FOLDER / 'todo.j2', {
         'e': evidence, 'b': evidence.blames or Blames(), 'fault': fault.value,
         'command': _line, 'campaign': campaign, 'kept_bags': kept_bags, 'programs': programs,
-        'causes': of_causes, 'world': world, 'our_world': KMWH, 'camera': camera, 'our_camera': OURS, 'added': ADDED,
+        'causes': of_causes, 'world': world, 'our_world': KMWH, 'camera': camera,
+        'our_camera': OURS, 'added': ADDED,
         'trainable': can_train, 'fixed': fixed, 'train': _line(
             *train, '--epochs', '8', '--learning-rate', '0.001', '--out', fixed),
         'bag': next((cause.bag for cause in evidence.causes if cause.bag is not None), None),
