@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.place.catalogue import load_place
     from taxinet_ros.core.rig.catalogue import load_aircraft, load_camera
     from taxinet_ros.core.scenario import Scenario
+    from taxinet_ros.core.sensors import load_sensors
     from taxinet_ros.core.traffic.traffic_file import load_traffic
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
     from taxinet_ros.core.user_code import UserCodeError
@@ -68,6 +69,7 @@ __all__ = [
     'load_forecast',
     'load_perception',
     'load_place',
+    'load_sensors',
     'load_traffic',
     'odd_coverage',
     'open_campaign',
@@ -97,6 +99,7 @@ _MODULES = {
     'taxinet_ros.core.place.catalogue': ('load_place',),
     'taxinet_ros.core.rig.catalogue': ('load_aircraft', 'load_camera'),
     'taxinet_ros.core.scenario': ('Scenario',),
+    'taxinet_ros.core.sensors': ('load_sensors',),
     'taxinet_ros.core.traffic.traffic_file': ('load_traffic',),
     'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),
     'taxinet_ros.core.user_code': ('UserCodeError',),

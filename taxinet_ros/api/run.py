@@ -19,7 +19,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +71,8 @@ from taxinet_ros.core.perception.perception import (
     network_doubts,
     read_estimate,
 )
-from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.trace import (
     COLUMN_UNITS,
@@ -83,7 +83,7 @@ from taxinet_ros.core.trace import (
 )
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.units import dimension_of, si_unit
-from taxinet_ros.core.user_code import IMPLEMENTATION
+from taxinet_ros.core.user_code import IMPLEMENTATION, given_sensors
 from taxinet_ros.core.verdict.judge import Judgement, check_others, check_specs
 from taxinet_ros.core.verdict.judging import Judging, parse_stop_on
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
@@ -668,7 +668,7 @@ def asked_perception(given: str | Perception | Look) -> Perception:
         return make_perception(given)
     if isinstance(given, GroundTruth | NetworkPerception | UserPerception):
         return given
-    _check_answering('perception', given, 'estimate', 2, 'rig')
+    _check_answering('perception', given, 'estimate', 2, 'rig', 'sensors')
     _check_starting('perception', given, 0, 'rig')
     return _FunctionPerception(given)
 
@@ -679,7 +679,7 @@ def asked_controller(given: str | Controller | Steer) -> Controller:
         return make_controller(given, SteeringGains())
     if isinstance(given, SteeringLaw | UserController | Assured):
         return given
-    _check_answering('controller', given, 'command', 1)
+    _check_answering('controller', given, 'command', 1, 'sensors')
     _check_starting('controller', given, 1)
     return _FunctionController(given)
 
@@ -730,10 +730,26 @@ def _misfit(function: Any, count: int, *more: str) -> str:
 class _Function:
     """Function or object of the caller; its exceptions propagate."""
 
+    _METHOD: ClassVar[str]
+
     def __init__(self, given: Any) -> None:
         self.word = str(getattr(given, 'word', IMPLEMENTATION))
         self.fingerprint = str(getattr(given, 'fingerprint', ''))
         self._given = given
+        self._answers = getattr(given, self._METHOD, given)
+        self.needs_sensors = has_parameter(self._answers, 'sensors')
+        self._measured: Measured | None = None
+
+    def sense(self, measured: Measured) -> None:
+        """Take what the sensors deliver for the next answer."""
+        self._measured = measured
+
+    def _sensed(self) -> dict[str, Measured]:
+        """The argument ``sensors``, if it is asked for."""
+        if not self.needs_sensors:
+            return {}
+        measured, self._measured = self._measured, None
+        return {'sensors': given_sensors(measured, self.word)}
 
     def begin(self, scenario: Scenario | None = None) -> None:
         """Call its ``begin``, with the scenario if it takes one, or its ``reset``."""
@@ -749,10 +765,12 @@ class _Function:
 class _FunctionPerception(_Function, Perception):
     """Perception by a caller's function of a frame, or of the true error."""
 
+    _METHOD = 'estimate'
+
     def __init__(self, given: Any) -> None:
         super().__init__(given)
         self.needs_image = bool(getattr(given, 'needs_image', True))
-        self._named: dict[str, Rig | None] = {}
+        self._named: dict[str, Any] = {}
 
     def begin(self, rig: Any = None) -> None:
         """Call its ``begin``, with the rig if it takes one, or its ``reset``."""
@@ -771,9 +789,10 @@ class _FunctionPerception(_Function, Perception):
         # A copy, which the function may modify.
         seen = image.copy() if self.needs_image and image is not None else None
         if hasattr(self._given, 'estimate'):
-            answer = self._given.estimate(seen, None if self.needs_image else truth)
+            told = None if self.needs_image else truth
+            answer = self._given.estimate(seen, told, **self._sensed())
         else:
-            answer = self._given(truth if seen is None else seen, **self._named)
+            answer = self._given(truth if seen is None else seen, **self._named, **self._sensed())
         found = read_estimate(answer)
         if found is None:
             raise UsageError(
@@ -786,9 +805,11 @@ class _FunctionPerception(_Function, Perception):
 class _FunctionController(_Function, Controller):
     """Controller by a caller's function."""
 
+    _METHOD = 'command'
+
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """Return the function's command."""
-        answer = getattr(self._given, 'command', self._given)(estimate)
+        answer = self._answers(estimate, **self._sensed())
         found = read_command(answer)
         if found is None:
             raise UsageError(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.errors import UsageError
 
@@ -35,6 +36,7 @@ class Observation:
         image: camera frame, (height, width, 3) uint8 RGB of the scenario's camera, usually
             (200, 360, 3); None if not requested.
         track: that is followed; None for the runway's centreline.
+        measured: what has arrived of the other sensors; None if there are none.
     """
 
     seq: int
@@ -42,6 +44,7 @@ class Observation:
     state: AircraftState
     image: NDArray[np.uint8] | None
     track: Track | None = None
+    measured: Measured | None = None
 
     @property
     def on_track(self) -> OnTrack:

@@ -18,6 +18,7 @@ from taxinet_ros.core.scenario_fields import (
     PICTURE_FAULTS,
     STEERING_BIAS,
 )
+from taxinet_ros.core.sensors import NO_SENSORS
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.errors import UsageError
 
@@ -32,8 +33,10 @@ def check_free(scenario: Scenario) -> None:
     """Refuse what a free run cannot have.
 
     Raises:
-        UsageError: the scenario delays the loop.
+        UsageError: the scenario delays the loop, or has sensors.
     """
+    if scenario.sensors != NO_SENSORS:
+        raise UsageError('sensors: not in a free run, where what a step waits for is not known')
     if not {LOOP_DELAY, LOOP_JITTER}.isdisjoint(scenario.faults):
         raise UsageError(
             'loop_delay_s, loop_jitter_s: no effect in a free run, which has real delays'

@@ -44,6 +44,7 @@ from taxinet_ros.core.scenario_fields import (
     WIND_DIRECTION,
     WIND_SPEED,
 )
+from taxinet_ros.core.sensors import NO_SENSORS, Measured
 from taxinet_ros.core.signals import kept_signals
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.world import ChosenWorld, SimulatedWorld, World
@@ -168,7 +169,16 @@ class ForkedWorld(World):
             before: the recorded scene, with the duration of the forked run.
             fork: what changes.
             pictures: False: none will be requested.
+
+        Raises:
+            UsageError: there are sensors, and a new pose or another seed.
         """
+        anew = fork.placed is not None or fork.scenario.fault_seed != before.fault_seed
+        if anew and before.sensors != NO_SENSORS:
+            raise UsageError(
+                'fork: in a run with sensors the aircraft cannot be placed anew, nor fault_seed '
+                'change: what they measure goes on'
+            )
         self._before, self._fork, self._pictures = before, fork, pictures
         self._world = SimulatedWorld(before, pictures=pictures)
         self.last_seq = self._world.last_seq
@@ -226,7 +236,7 @@ class ReplayedPerception(Perception):
             same: whether it gave the recorded ones and has to give them again.
         """
         self.word, self.fingerprint = after.word, after.fingerprint
-        self.needs_image = after.needs_image
+        self.needs_image, self.needs_sensors = after.needs_image, after.needs_sensors
         self._after, self._recorded, self._same = after, recorded, same
         self._seq = 0
 
@@ -234,6 +244,10 @@ class ReplayedPerception(Perception):
         """Reset."""
         self._seq = 0
         self._after.begin(rig)
+
+    def sense(self, measured: Measured) -> None:
+        """Pass on what the sensors deliver."""
+        self._after.sense(measured)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -259,7 +273,7 @@ class ReplayedController(Controller):
     def __init__(self, after: Controller, recorded: Sequence[TaxiCommand], *, same: bool) -> None:
         """Begin with the first command; arguments as for :class:`ReplayedPerception`."""
         self.word, self.fingerprint = after.word, after.fingerprint
-        self.needs_image = after.needs_image
+        self.needs_image, self.needs_sensors = after.needs_image, after.needs_sensors
         self._after, self._recorded, self._same = after, recorded, same
         self._seq = 0
 
@@ -271,6 +285,10 @@ class ReplayedController(Controller):
         """Reset."""
         self._seq = 0
         self._after.begin(scenario)
+
+    def sense(self, measured: Measured) -> None:
+        """Pass on what the sensors deliver."""
+        self._after.sense(measured)
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """Return the recorded command of the step, or a new one.

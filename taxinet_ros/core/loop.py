@@ -111,6 +111,7 @@ def run_closed_loop(
     perception.begin(scenario.rig)
     controller.begin(scenario)
     pictures = perception.needs_image or controller.needs_image
+    sensing = [part for part in (perception, controller) if part.needs_sensors]
     with closing(make_world(scenario, pictures=pictures)) as world:
         commands = LateCommands(timing, *draws, scenario)
         horizon_ns = world.last_seq * CONTROL_PERIOD_NS
@@ -122,6 +123,9 @@ def run_closed_loop(
             now = world.observe()
             if perception.needs_image:
                 check_picture(now, f'perception {perception.word}')
+            if now.measured is not None:
+                for part in sensing:
+                    part.sense(now.measured)
             along_m, cte_m, he_rad = now.on_track
             estimate = perception.estimate(now.image, TrackingError(cte_m=cte_m, he_rad=he_rad))
             if controller.needs_image:

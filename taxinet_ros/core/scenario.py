@@ -50,6 +50,8 @@ from taxinet_ros.core.scenario_fields import (
     FAULT_ONSET,
     FAULT_SEED,
     FAULTS,
+    GNSS_DROPOUT_START,
+    GNSS_FIELDS,
     GUST,
     HUMAN_KEYS,
     MESSAGE_FIELDS,
@@ -57,6 +59,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN_CLOUDS,
     RUNWAY_STATE,
     SCENARIO_FIELDS,
+    SENSORS,
     TRACK,
     WIND_DIRECTION,
     WIND_SPEED,
@@ -65,6 +68,7 @@ from taxinet_ros.core.scenario_fields import (
     by_key,
     is_point,
 )
+from taxinet_ros.core.sensors import NO_SENSORS, Sensors, find_sensors
 from taxinet_ros.core.signals import (
     VARYING,
     checked_signals,
@@ -78,6 +82,9 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.files.pages import html_table
 from taxinet_ros.files.plain_values import load_json
+
+_WITH_SENSORS = '{"camera":'
+"""How the camera's text begins in recordings of scenes with sensors, which it carries."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -137,6 +144,10 @@ class Scenario:
         camera_dx_m, camera_dy_m, camera_dz_m: the camera's offset forward, to the left and up [m].
         camera_droll_rad, camera_dpitch_rad, camera_dyaw_rad: added to its angles [rad]: right side
             down, nose down, left positive.
+        sensors: ``none``, a shipped name, or the sensors beside the camera as JSON, see
+            :mod:`taxinet_ros.core.sensors`.
+        gnss_noise_m, gnss_bias_m: of the GNSS in place of its own, 0 for its own [m].
+        gnss_dropout_start_s, gnss_dropout_s: a drop-out of the GNSS beside its own [s].
         datarefs: ``none``, or values of X-Plane's datarefs as JSON, see
             :mod:`taxinet_ros.core.datarefs`.
         duration_s: length of the run [s], a multiple of the control period.
@@ -187,6 +198,11 @@ class Scenario:
     camera_droll_rad: float = 0.0
     camera_dpitch_rad: float = 0.0
     camera_dyaw_rad: float = 0.0
+    sensors: str = NO_SENSORS
+    gnss_noise_m: float = 0.0
+    gnss_bias_m: float = 0.0
+    gnss_dropout_start_s: float = 0.0
+    gnss_dropout_s: float = 0.0
     datarefs: str = NO_DATAREFS
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
@@ -194,6 +210,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         PLACE.checked(self.place)
+        self._take_sensors_apart()
         self._take_camera_apart()
         self._take_signals_apart()
         object.__setattr__(self, TRACK.attribute, TRACK.checked(self.track) or RUNWAY_TRACK)
@@ -221,6 +238,32 @@ class Scenario:
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
         self._check_faults()
+        self._check_sensors()
+
+    def _take_sensors_apart(self) -> None:
+        """Replace a recorded camera that carries sensors by both."""
+        if not str(self.camera).startswith(_WITH_SENSORS):
+            return
+        try:
+            carried = load_json(self.camera)
+            values = {key: carried[key] for key in (CAMERA.key, SENSORS.key)}
+            values |= {field.key: carried.get(field.key, 0.0) for field in GNSS_FIELDS}
+        except (KeyError, TypeError, ValueError):
+            raise UsageError(
+                f'scenario: camera is {self.camera!r:.60}, not a camera with sensors') from None
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    def _check_sensors(self) -> None:
+        given = [field.key for field in GNSS_FIELDS if getattr(self, field.attribute)]
+        if given and find_sensors(self.sensors).gnss is None:
+            raise UsageError(
+                f'scenario: {given[0]} has no effect without a gnss among the sensors; set the key '
+                'sensors, as in sensors=standard'
+            )
+        if self.gnss_dropout_start_s and not self.gnss_dropout_s:
+            raise UsageError(
+                f'scenario: {GNSS_DROPOUT_START.key} has no effect without gnss_dropout_s')
 
     def _take_camera_apart(self) -> None:
         """Replace a moved camera by its base and its offsets."""
@@ -261,7 +304,8 @@ class Scenario:
                 f'scenario: fault_onset_s is {self.fault_onset_s:g}, not before the end of the run '
                 f'at {self.duration_s:g} s'
             )
-        if self.fault_seed and not any(field in DRAWN_FAULTS for field in self.faults):
+        drawn = self.sensors != NO_SENSORS or any(one in DRAWN_FAULTS for one in self.faults)
+        if self.fault_seed and not drawn:
             raise UsageError(
                 'scenario: fault_seed has no effect without a fault that is drawn: '
                 + ', '.join(field.key for field in DRAWN_FAULTS)
@@ -345,6 +389,14 @@ class Scenario:
         return Rig(camera=self.camera_model, aircraft=self.aircraft_model)
 
     @property
+    def sensor_set(self) -> Sensors:
+        """Its sensors beside the camera, with its noise, bias and drop-out of the GNSS."""
+        return find_sensors(self.sensors).with_gnss(
+            noise_m=self.gnss_noise_m, bias_m=self.gnss_bias_m,
+            start_s=self.gnss_dropout_start_s, length_s=self.gnss_dropout_s,
+        )
+
+    @property
     def dataref_values(self) -> Mapping[str, Number]:
         """Its datarefs, by name."""
         return find_datarefs(self.datarefs).values
@@ -398,7 +450,16 @@ class Scenario:
         left = [field for field in self.faults if field not in fields]
         if not left:
             changes[FAULT_ONSET.attribute] = 0.0
-        if not any(field in DRAWN_FAULTS for field in left):
+        if self.sensors == NO_SENSORS and not any(field in DRAWN_FAULTS for field in left):
+            changes[FAULT_SEED.attribute] = 0.0
+        return dataclasses.replace(self, **changes)
+
+    def without_sensors(self) -> Scenario:
+        """The same without sensors beside the camera."""
+        if self.sensors == NO_SENSORS:
+            return self
+        changes: dict[str, Any] = {one.attribute: one.absent for one in (SENSORS, *GNSS_FIELDS)}
+        if not any(one in DRAWN_FAULTS for one in self.faults):
             changes[FAULT_SEED.attribute] = 0.0
         return dataclasses.replace(self, **changes)
 
@@ -417,12 +478,19 @@ class Scenario:
     def recorded(self) -> dict[str, Any]:
         """Values by field of its message, where a text also carries what has no field.
 
-        That of the camera carries its offsets, that of the datarefs the control points.
+        That of the camera carries its offsets and the sensors, that of the datarefs the control
+        points.
         """
         values = {field.attribute: getattr(self, field.attribute) for field in MESSAGE_FIELDS}
         if self.signals:
             values[DATAREFS.attribute] = json.dumps({**self.dataref_values, **self.points})
-        return {**values, CAMERA.attribute: self.camera_model.text}
+        camera = self.camera_model.text
+        if self.sensors != NO_SENSORS:
+            given = {one.key: value for one in GNSS_FIELDS if (value := getattr(self, one.key))}
+            # Not sorted: _WITH_SENSORS is its beginning.
+            camera = json.dumps(
+                {CAMERA.key: camera, SENSORS.key: self.sensors, **given}, separators=(',', ':'))
+        return {**values, CAMERA.attribute: camera}
 
     def __repr__(self) -> str:
         """What differs from the defaults, in SI units."""

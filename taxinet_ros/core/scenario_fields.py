@@ -34,6 +34,7 @@ from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.camera_model import MOST_OFFSET_DEG, MOST_OFFSET_M
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
+from taxinet_ros.core.sensors import LONGEST_S, MOST_BIAS_M, MOST_NOISE_M, SENSOR_SETS
 from taxinet_ros.core.traffic.traffic_file import OTHERS
 from taxinet_ros.core.units import typed_number
 from taxinet_ros.errors import UsageError, near_miss
@@ -299,7 +300,10 @@ def unusual_words(scene: Mapping[str, Any]) -> str:
     """
     return ''.join(
         f', {field.title} {field.value_words(scene[field.key]).partition("@")[0]}'.replace('_', ' ')
-        for field in (*PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, *CAMERA_OFFSETS, DATAREFS)
+        for field in (
+            *PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, *CAMERA_OFFSETS, SENSORS, *GNSS_FIELDS,
+            DATAREFS,
+        )
         if scene.get(field.key) not in (None, '', field.to_human(field.absent))
     ) + ''.join(
         f', {BY_KEY[name].title} {BY_KEY[name].value_words(value)}'
@@ -474,6 +478,32 @@ CAMERA_OFFSETS = (
     _camera_offset('yaw', 'camera yawed left'),
 )
 """Offsets of the camera from its place and attitude on the aircraft; as in a camera file."""
+SENSORS = ScenarioField(
+    key='sensors', attribute='sensors', title='sensors beside the camera', kind=Kind.DOCUMENT,
+    catalogue=SENSOR_SETS, absent=SENSOR_SETS.default, carrier=CAMERA.attribute,
+)
+GNSS_NOISE = ScenarioField(
+    key='gnss_noise_m', short='gnss_noise', attribute='gnss_noise_m',
+    title='noise of the GNSS, in place of its own', unit='m', form='{:.2f}', low=0.0,
+    high=MOST_NOISE_M, si_unit='m', absent=0.0, carrier=CAMERA.attribute,
+)
+GNSS_BIAS = ScenarioField(
+    key='gnss_bias_m', short='gnss_bias', attribute='gnss_bias_m',
+    title='offset of the GNSS to the left, in place of its own', unit='m', form='{:+.2f}',
+    low=-MOST_BIAS_M, high=MOST_BIAS_M, si_unit='m', absent=0.0, carrier=CAMERA.attribute,
+)
+GNSS_DROPOUT_START = ScenarioField(
+    key='gnss_dropout_start_s', short='gnss_dropout_start', attribute='gnss_dropout_start_s',
+    title='start of a drop-out of the GNSS', unit='s', form='{:.1f}', low=0.0, high=LONGEST_S,
+    si_unit='s', absent=0.0, carrier=CAMERA.attribute,
+)
+GNSS_DROPOUT = ScenarioField(
+    key='gnss_dropout_s', short='gnss_dropout', attribute='gnss_dropout_s',
+    title='length of a drop-out of the GNSS', unit='s', form='{:.1f}', low=0.0, high=LONGEST_S,
+    si_unit='s', absent=0.0, carrier=CAMERA.attribute,
+)
+GNSS_FIELDS = (GNSS_NOISE, GNSS_BIAS, GNSS_DROPOUT_START, GNSS_DROPOUT)
+"""What a search can vary of the GNSS of ``sensors``."""
 DATAREFS = ScenarioField(
     key='datarefs', attribute='datarefs', title='datarefs of X-Plane', kind=Kind.DOCUMENT,
     catalogue=DATAREF_SETS, absent=DATAREF_SETS.default,
@@ -502,7 +532,7 @@ DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
 FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
     *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
-    TRAFFIC, CAMERA, *CAMERA_OFFSETS, DATAREFS, DURATION, PLACE,
+    TRAFFIC, CAMERA, *CAMERA_OFFSETS, SENSORS, *GNSS_FIELDS, DATAREFS, DURATION, PLACE,
 )
 MESSAGE_FIELDS = tuple(field for field in SCENARIO_FIELDS if not field.carrier)
 """Fields of the scenario message."""

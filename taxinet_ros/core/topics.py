@@ -63,6 +63,7 @@ LOOKING_ON = Quality(depth=16, reliability='best_effort')
 TF2 = Quality(depth=100)
 PER_STEP = 'per step'
 PER_SPEC = 'per step and formula'
+PER_SAMPLE = 'per measurement'
 PER_RUN = 'per run'
 PER_NODE = 'per run and participant'
 
@@ -94,8 +95,8 @@ class Topic:
 
     @property
     def each_step(self) -> bool:
-        """Whether every control step has recorded messages."""
-        return self.recorded in (PER_STEP, PER_SPEC)
+        """Whether its recorded messages belong to control steps."""
+        return self.recorded in (PER_STEP, PER_SPEC, PER_SAMPLE)
 
     def listeners(self, participants: Sequence[str]) -> set[str]:
         """Nodes of a run that subscribe, including the recorder."""
@@ -145,6 +146,26 @@ TRUTH = Topic(
     publishers=(SIMULATOR,), subscribers=(PERCEPTION, MTL_MONITOR), recorded=PER_STEP,
     carries='true cross-track and heading error; only a ground-truth perception reads it',
 )
+GNSS = Topic(
+    name='gnss/fix', type_name='sensor_msgs/msg/NavSatFix', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(), recorded=PER_SAMPLE,
+    carries='position of base_link, if the scenario has a GNSS',
+    queue=_QUEUE,
+)
+IMU = Topic(
+    name='imu/data', type_name='sensor_msgs/msg/Imu', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(), recorded=PER_SAMPLE,
+    carries='rates, specific force and orientation (east-north-up), if the scenario has an IMU',
+    queue=_QUEUE,
+)
+WHEEL = Topic(
+    name='wheel/twist', type_name='geometry_msgs/msg/TwistWithCovarianceStamped',
+    quality=LOCKSTEP, publishers=(SIMULATOR,), subscribers=(), recorded=PER_SAMPLE,
+    carries='speed along the body x axis, if the scenario has a wheel speed',
+    queue=_QUEUE,
+)
+SENSORS = {'gnss': GNSS, 'imu': IMU, 'wheel': WHEEL}
+"""Topics of the sensors beside the camera, by their keys."""
 ESTIMATE = Topic(
     name='perception/tracking_error', type_name='taxinet_msgs/msg/TrackingError',
     quality=LOCKSTEP,
@@ -198,8 +219,8 @@ OBITUARY = Topic(
 Any node may publish here, unlike on :data:`TOPICS`, which are reserved for the nodes of the run.
 """
 TOPICS = (
-    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
-    ROBUSTNESS, VERDICT, PROGRESS, TIMING, RUN_STATUS,
+    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, GNSS, IMU, WHEEL, ESTIMATE,
+    COMMAND, ROBUSTNESS, VERDICT, PROGRESS, TIMING, RUN_STATUS,
 )
 TF_STATIC = Topic(
     name='tf_static', type_name='tf2_msgs/msg/TFMessage', quality=LATCHED,

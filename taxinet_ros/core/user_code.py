@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any, Final, TypeGuard, TypeVar
 
 from taxinet_ros.arguments import can_be_called, has_parameter
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_file
 from taxinet_ros.registry import Extension
@@ -94,6 +95,8 @@ _WORD = re.compile(r'(?P<file>.+\.py):(?P<name>[^\W\d]\w*)', re.DOTALL)
 _ALONE = re.compile(r'.+\.py:?', re.DOTALL)
 _FILES = 'FILES'
 _SAID_CHARACTERS = 300
+_NAMED = ('rig', 'sensors')
+"""Further arguments that a function gets if it has parameters of these names."""
 _Answer = TypeVar('_Answer')
 
 
@@ -144,12 +147,12 @@ class UserCode:
         return made
 
     def _check_call(self, made: Callable[..., Any]) -> None:
-        """Check that what answers takes one argument, and maybe ``rig``.
+        """Check that what answers takes one argument, and maybe some of :data:`_NAMED`.
 
         Raises:
             UsageError: it takes more, or none.
         """
-        asked = {'rig': None} if has_parameter(made, 'rig') else {}
+        asked = {name: None for name in _NAMED if has_parameter(made, name)}
         if not can_be_called(made, 'seen', **asked):
             raise UsageError(
                 f'{self.where}: {self.name} cannot be called with one argument; expected a '
@@ -260,7 +263,11 @@ def find_plugin_code(extension: Extension) -> PluginCode:
 
 
 class RunCode:
-    """User code that is reset to its initial state for each run."""
+    """User code that is reset to its initial state for each run.
+
+    Attributes:
+        needs_sensors: whether its function has a parameter ``sensors``.
+    """
 
     def __init__(self, code: UserCode) -> None:
         """Load the file.
@@ -270,7 +277,13 @@ class RunCode:
         """
         self.code = code
         self.function = code.make()
+        self.needs_sensors = has_parameter(self.function, 'sensors')
+        self._measured: Measured | None = None
         self._fresh = True
+
+    def sense(self, measured: Measured) -> None:
+        """Take what the sensors deliver for the next answer."""
+        self._measured = measured
 
     def begin(self) -> None:
         """Reset; called before each run.
@@ -278,6 +291,7 @@ class RunCode:
         Raises:
             UserCodeError: the file's code fails.
         """
+        self._measured = None
         if self._fresh:
             return
         with self.code.running(UserCodeError):
@@ -303,8 +317,12 @@ class RunCode:
 
         Raises:
             UserCodeError: it fails, or its result is invalid.
+            UsageError: it needs sensors, which are not there.
         """
         self._fresh = False
+        if self.needs_sensors:
+            named['sensors'], self._measured = given_sensors(
+                self._measured, f'{self.code.where}: {self.code.name}'), None
         with self.code.running(UserCodeError):
             answer = self.function(argument, **named)
             found = read(answer)
@@ -314,6 +332,20 @@ class RunCode:
                 f'{self.code.where}: {self.code.name} returned {shown}; expected {expected}'
             ))
         return found
+
+
+def given_sensors(measured: Measured | None, who: str) -> Measured:
+    """What the sensors delivered to a function with a parameter ``sensors``.
+
+    Raises:
+        UsageError: nothing can have been, as it is called outside of a run with sensors.
+    """
+    if measured is None:
+        raise UsageError(
+            f'{who} has a parameter sensors, which are there only in runs whose scenario has some, '
+            'as with sensors=standard'
+        )
+    return measured
 
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:

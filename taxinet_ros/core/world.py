@@ -29,6 +29,8 @@ from taxinet_ros.core.motion.aircraft import Aircraft, full_steering_rad
 from taxinet_ros.core.renderer import OURS, ChosenRenderer, ForeignCode, RunCamera, find_renderer
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import FAULTS
+from taxinet_ros.core.sensing import Sensing, check_rates, sensing_of
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, near_miss
 from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, names, origin_words
@@ -127,6 +129,8 @@ class SimulatedWorld(World):
         self._seq = 0
         self._track = scenario.line
         self._shown = self._aircraft.state, 0
+        self._sensing = sensing_of(scenario, CONTROL_PERIOD_NS, self._aircraft.state)
+        self._aircraft.traced = self._sensing is not None and self._sensing.fast
 
     @cached_property
     def _camera(self) -> Camera:
@@ -163,6 +167,7 @@ class SimulatedWorld(World):
         return Observation(
             seq=self._seq, stamp_ns=stamp_ns, state=self._aircraft.state, image=image,
             track=self._track,
+            measured=None if self._sensing is None else self._sensing.measured,
         )
 
     def advance(self, command: TaxiCommand) -> None:
@@ -170,8 +175,12 @@ class SimulatedWorld(World):
         stamp_ns = self._seq * CONTROL_PERIOD_NS
         if self._scenario.signals:
             self._aircraft.follow(self._scenario, stamp_ns)
+        before = self._aircraft.state
         self._aircraft.advance(self._steering.apply(command, stamp_ns))
         self._seq += 1
+        if self._sensing is not None:
+            now = self._aircraft
+            self._sensing.advance(now.states if now.traced else [before, now.state])
         if shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
             self._shown = self._aircraft.state, self._seq * CONTROL_PERIOD_NS
 
@@ -385,6 +394,7 @@ class _PluginWorld(ForeignCode, World):
             )
         if not getattr(make, TAKES_DATAREFS, False):
             refuse_datarefs(scenario.datarefs, extension.words)
+        check_rates(scenario, CONTROL_PERIOD_NS, extension.words)
         self.last_seq = last_step(scenario)
         self._pictures = pictures
         self._shown: NDArray[np.uint8] | None = None
@@ -392,7 +402,7 @@ class _PluginWorld(ForeignCode, World):
         self._steering = SteeringFaults(
             scenario, model.max_steering_rad or full_steering_rad(model), CONTROL_PERIOD_NS
         )
-        well = scenario.without_faults(*FAULTS)
+        well = scenario.without_sensors().without_faults(*FAULTS)
         if well.signals:
             raise UsageError(
                 f'{extension.words}: {", ".join(well.points)} would have no effect, as only the '
@@ -403,6 +413,8 @@ class _PluginWorld(ForeignCode, World):
         if told != self.last_seq:
             raise self._broken(f'last_seq is {told!r}; the scenario ends at step {self.last_seq}')
         self._step = 0
+        self._sensing: Sensing | None = None
+        self._sensed: tuple[int, AircraftState | None] = -1, None
 
     def observe(self, *, picture: bool = True) -> Observation:
         shown = shown_step(self._scenario, self._step, CONTROL_PERIOD_NS)
@@ -426,11 +438,21 @@ class _PluginWorld(ForeignCode, World):
         seen = Observation(
             seq=self._step, stamp_ns=stamp_ns, state=now.state,
             image=self._shown.copy() if picture and self._shown is not None else None,
-            track=self._scenario.line,
+            track=self._scenario.line, measured=self._measure(now.state),
         )
         if self._step == 0 and not self._scenario.line.is_runway:
             self._check_start(seen)
         return seen
+
+    def _measure(self, state: AircraftState) -> Measured | None:
+        """What the sensors deliver, once the state of the step is known."""
+        step, before = self._sensed
+        if before is None:
+            self._sensing = sensing_of(self._scenario, CONTROL_PERIOD_NS, state)
+        elif step < self._step and self._sensing is not None:
+            self._sensing.advance([before, state])
+        self._sensed = self._step, state
+        return None if self._sensing is None else self._sensing.measured
 
     def _check_start(self, now: Observation) -> None:
         """A world that knows of no tracks would set the aircraft on the runway."""

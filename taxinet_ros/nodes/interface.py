@@ -80,6 +80,7 @@ IMAGE = _topic(topics.IMAGE)
 CAMERA_INFO = _topic(topics.CAMERA_INFO)
 ODOMETRY = _topic(topics.ODOMETRY)
 TRUTH = _topic(topics.TRUTH)
+SENSORS = {name: _topic(topic) for name, topic in topics.SENSORS.items()}
 ESTIMATE = _topic(topics.ESTIMATE)
 COMMAND = _topic(topics.COMMAND)
 ROBUSTNESS = _topic(topics.ROBUSTNESS)

@@ -15,11 +15,13 @@ from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.messages import command_cdr
 from taxinet_ros.core.assurance.switch import Assured, check_controller, make_controller
 from taxinet_ros.core.motion.controller import GAIN_RANGES, STEERING, SteeringGains, gains_text
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.diagnostics import Health
 from taxinet_ros.nodes.lockstep.participant import Participant
+from taxinet_ros.nodes.lockstep.senses import Senses
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
@@ -80,6 +82,7 @@ class SteeringController(Participant):
         self._commands = self.speak(interface.COMMAND)
         self._frame: tuple[int, NDArray[np.uint8]] | None = None
         self._waiting: StepMessage | None = None
+        self._senses = Senses(self, self._command) if self._controller.needs_sensors else None
         if self._controller.needs_image:
             self.listen(interface.ESTIMATE, self._wait)
             self.listen(interface.IMAGE, self._see, raw=True)
@@ -88,12 +91,17 @@ class SteeringController(Participant):
 
     def prepare(self, scenario: Scenario) -> None:
         """Reset from the previous run."""
-        self._controller.begin(scenario_of(scenario))
+        scene = scenario_of(scenario)
+        self._controller.begin(scene)
+        if self._senses is not None:
+            self._senses.begin(scene)
         self.clear()
 
     def clear(self) -> None:
         """See :class:`Participant`."""
         self._frame = self._waiting = None
+        if self._senses is not None:
+            self._senses.clear()
 
     def health(self) -> Health:
         """See :class:`Participant`; an alarm of the monitor is a warning."""
@@ -123,6 +131,14 @@ class SteeringController(Participant):
             self._answer(estimate)
 
     def _answer(self, estimate: StepMessage) -> None:
+        if self._senses is None:
+            self._command(estimate, None)
+        else:
+            self._senses.take(estimate.seq, estimate)
+
+    def _command(self, estimate: StepMessage, measured: Measured | None) -> None:
+        if measured is not None:
+            self._controller.sense(measured)
         command = self._controller.command(estimate.value)
         self._commands.publish(
             command_cdr(command, estimate.run_id, estimate.seq, estimate.stamp_ns)

@@ -28,6 +28,8 @@ from taxinet_ros.core.scenario_fields import (
     FAULT_SEED,
     FAULTS,
     FORM,
+    GNSS_DROPOUT,
+    GNSS_DROPOUT_START,
     GUST,
     GUST_SEED,
     HEADING,
@@ -35,6 +37,7 @@ from taxinet_ros.core.scenario_fields import (
     PLACE,
     RAIN,
     RAIN_CLOUDS,
+    SENSORS,
     SKY,
     TIME_OF_DAY,
     TRACK,
@@ -53,12 +56,13 @@ WEATHER = (SKY.key, RAIN.key)
 _NEEDS = {
     WIND_DIRECTION.key: {WIND_SPEED.key}, GUST_SEED.key: {GUST.key},
     FAULT_ONSET.key: {field.key for field in FAULTS},
-    FAULT_SEED.key: {field.key for field in DRAWN_FAULTS},
+    FAULT_SEED.key: {SENSORS.key, *(field.key for field in DRAWN_FAULTS)},
+    GNSS_DROPOUT_START.key: {GNSS_DROPOUT.key},
 }
 """Values that have an effect only where one of others is not 0."""
 _ALLOWING = {
     SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01, LENS_DIRT.key: 1.0,
-    DURATION.key: DURATION.high, DISTANCE.key: 0.0,
+    DURATION.key: DURATION.high, DISTANCE.key: 0.0, SENSORS.key: 'standard', GNSS_DROPOUT.key: 1.0,
 }
 """Values that are compatible with every value of the other keys."""
 _RIG = (AIRCRAFT_MODEL.key, CAMERA.key)

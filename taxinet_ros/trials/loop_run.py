@@ -30,6 +30,7 @@ from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.system import System
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
@@ -329,11 +330,14 @@ class _Eyes(Perception):
     def __init__(self, watched: _Watched, perception: Perception) -> None:
         self._watched, self._perception = watched, perception
         self.word, self.fingerprint = perception.word, perception.fingerprint
-        self.needs_image = perception.needs_image
+        self.needs_image, self.needs_sensors = perception.needs_image, perception.needs_sensors
 
     def begin(self, rig: Rig | None = None) -> None:
         with _blamed(topics.PERCEPTION):
             self._perception.begin(rig)
+
+    def sense(self, measured: Measured) -> None:
+        self._perception.sense(measured)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -348,7 +352,7 @@ class _Hands(Controller):
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self.word, self.fingerprint = controller.word, controller.fingerprint
-        self.needs_image = controller.needs_image
+        self.needs_image, self.needs_sensors = controller.needs_image, controller.needs_sensors
 
     def begin(self, scenario: Scenario | None = None) -> None:
         with _blamed(topics.STEERING_CONTROLLER):
@@ -356,6 +360,9 @@ class _Hands(Controller):
 
     def see(self, image: NDArray[np.uint8]) -> None:
         self._controller.see(image)
+
+    def sense(self, measured: Measured) -> None:
+        self._controller.sense(measured)
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         with _blamed(topics.STEERING_CONTROLLER):

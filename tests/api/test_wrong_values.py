@@ -37,6 +37,7 @@ CALLS = {
     'load_camera': (tx.load_camera, {}),
     'load_forecast': (tx.load_forecast, {}),
     'load_place': (tx.load_place, {}),
+    'load_sensors': (tx.load_sensors, {}),
     'load_traffic': (tx.load_traffic, {}),
     'open_recording': (tx.open_recording, {}),
     'open_campaign': (tx.open_campaign, {}),

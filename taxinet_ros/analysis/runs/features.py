@@ -217,11 +217,18 @@ FAULT_FEATURES = (
     _fault(fields.FAULT_ONSET, 0.1, _TIMES_S),
 )
 """Faults and their onset; their seed is not a meaningful feature."""
+_GNSS_FEATURES = (
+    _fault(fields.GNSS_NOISE, 0.1, _TIMES_S),
+    _fault(fields.GNSS_BIAS, 0.1, _TIMES_S),
+    _fault(fields.GNSS_DROPOUT_START, 0.1, _TIMES_S),
+    _fault(fields.GNSS_DROPOUT, 0.1, _TIMES_S),
+)
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)
     for one in (
-        fields.AIRCRAFT_MODEL, fields.CAMERA, fields.DATE, fields.PLACE, fields.TRACK,
+        fields.AIRCRAFT_MODEL, fields.CAMERA, fields.SENSORS, fields.DATE, fields.PLACE,
+        fields.TRACK,
     )
 )
 _CAMERA_OFFSETS = tuple(
@@ -239,7 +246,7 @@ PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING
 """The paper's six features, as columns of the table."""
 ALL_FEATURES = (
     *PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS, *PUSHING_FEATURES,
-    *FAULT_FEATURES, *_CAMERA_OFFSETS,
+    *FAULT_FEATURES, *_CAMERA_OFFSETS, *_GNSS_FEATURES,
 )
 
 

@@ -34,12 +34,15 @@ from taxinet_ros.bag.run.topics import (
     SIMULATOR,
     TRUTH,
     VERDICT,
+    is_of_sensors,
     is_topic,
 )
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, last_step
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.core.pacing.timing import is_free
+from taxinet_ros.core.sensing import Schedule
+from taxinet_ros.core.topics import SENSORS
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.judge import Judge, Judgement
 from taxinet_ros.core.verdict.judging import Judging
@@ -118,6 +121,8 @@ class RunRecord:
         steps = self.counts.setdefault(name, {})
         steps[step] = steps.get(step, 0) + 1
         header = getattr(message, 'header', None)
+        if is_of_sensors(name):
+            return  # stamped when it was measured, logged when it arrived
         if header is not None and stamp_of(message) != stamp:
             raise ValueError(f'header stamp is {stamp_of(message)} ns')
         if is_topic(name, ROBUSTNESS):
@@ -143,7 +148,7 @@ class RunRecord:
             topics: names of the published topics.
         """
         for topic in topics:
-            if not any(is_topic(topic, once) for once in ONCE):
+            if not (is_of_sensors(topic) or any(is_topic(topic, once) for once in ONCE)):
                 number = len(self.scenario.specs) if is_topic(topic, ROBUSTNESS) else 1
                 answer = any(is_topic(topic, name) for name in (ESTIMATE, COMMAND))
                 yield topic, number, self.free and answer
@@ -262,8 +267,25 @@ def _step_troubles(
             lacking.setdefault(missing, []).append(topic)
         if twice:
             yield Finding(where=f'step {twice}', what=f'{topic} more than {each} x')
+    yield from _sensor_troubles(record, topics, last)
     for steps_without, names in lacking.items():
         yield Finding(where=f'step {steps_without}', what=f'without {", ".join(names)}')
+
+
+def _sensor_troubles(
+    record: RunRecord, topics: Collection[str], last: int
+) -> Iterator[Finding]:
+    """Steps whose measurements are not those that the scenario has arrive there."""
+    schedule = Schedule(scenario_of(record.scenario), CONTROL_PERIOD_NS)
+    for sensor in schedule.sensors.names:
+        name = SENSORS[sensor].name
+        topic = f'/{name}'
+        steps = record.counts.get(topic, {})
+        wrong = ranges(
+            step for step in range(last + 1) if steps.get(step, 0) != schedule.counts(step)[name]
+        )
+        if wrong and topic in topics:
+            yield Finding(where=f'step {wrong}', what=f'{topic}: not the measurements due')
 
 
 def _verdict(record: RunRecord, recording: Recording) -> Check:

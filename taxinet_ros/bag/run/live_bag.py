@@ -24,6 +24,7 @@ from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.step_collector import FreeProgress, Step, StepCollector
 from taxinet_ros.core.pacing.timing import is_free
+from taxinet_ros.core.sensing import Schedule
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -43,7 +44,7 @@ _DECODE = {
 
 
 def stepped_topics(images: bool) -> tuple[Topic, ...]:
-    """Topics with messages in every control step, in the order of the bag."""
+    """Topics with messages of control steps, in the order of the bag."""
     return tuple(
         topic for topic in topics.TOPICS
         if topic.each_step and (images or topic is not topics.IMAGE)
@@ -76,8 +77,11 @@ class LiveBag(BegunBag):
         self._stepped = stepped_topics(images)
         self._expected = {
             topic.name: len(scenario.specs) if topic.recorded == topics.PER_SPEC else 1
-            for topic in self._stepped
+            for topic in self._stepped if topic.recorded != topics.PER_SAMPLE
         }
+        self._schedule = Schedule(scene, CONTROL_PERIOD_NS)
+        sensors = scene.sensor_set.names
+        self._sensed = {topics.SENSORS[name].name for name in sensors}
         self._transform_of = OdometryTransforms()
         self._scenario_cdr, self._camera = scenario_cdr, scene.camera_model
         self._awaited = topics.NODE_STATUS.speakers(scenario.participants)
@@ -85,19 +89,20 @@ class LiveBag(BegunBag):
         self._reports: dict[str, bytes] = {}
         self.clear()
         super().__init__(
-            folder, scenario, images=images, attachments=attachments,
+            folder, scenario, images=images, sensors=sensors, attachments=attachments,
             min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
 
     def clear(self) -> None:
         """Drop steps, verdict and account received so far."""
-        self.steps = StepCollector(self._expected)
+        more = self._schedule.counts if self._sensed else None
+        self.steps = StepCollector(self._expected, more)
         self._held: list[Step] = []
         self._verdict: bytes | None = None
         self._account: FreeRunAccount | None = None
         self._progress = FreeProgress([
             topic.name for topic in (*self._stepped, topics.TIMING)
-            if topic.publishers == (topics.SIMULATOR,)
+            if topic.publishers == (topics.SIMULATOR,) and topic.recorded != topics.PER_SAMPLE
         ])
 
     def take(self, topic: Topic, cdr: bytes) -> list[int]:
@@ -112,6 +117,8 @@ class LiveBag(BegunBag):
         """
         if topic.name in self._expected:
             return self._take_step(topic, cdr)
+        if topic.recorded == topics.PER_SAMPLE:
+            return self._take_sample(topic, cdr)
         message = _DECODE[topic.name](cdr)
         if message.run_id != self._run_id:
             return []
@@ -131,6 +138,13 @@ class LiveBag(BegunBag):
             what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is not a control step'
             raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
         self._progress.arrived(topic.name, seq)
+        return self._add(topic, seq, cdr)
+
+    def _take_sample(self, topic: Topic, cdr: bytes) -> list[int]:
+        seq = self._schedule.step_of(topic.name, stamp_of_cdr(cdr))
+        return self._add(topic, seq, cdr) if topic.name in self._sensed else []
+
+    def _add(self, topic: Topic, seq: int, cdr: bytes) -> list[int]:
         whole = self.steps.add(topic.name, seq, cdr)
         if not whole:
             return []

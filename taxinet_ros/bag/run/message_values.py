@@ -17,8 +17,10 @@ from taxinet_ros.core.place.catalogue import find_track
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    GNSS_FIELDS,
     MESSAGE_FIELDS,
     PLACE,
+    SENSORS,
     SPEED,
     TRACK,
     ScenarioField,
@@ -29,6 +31,7 @@ from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.core.verdict.run_statistics import SIGMA_FIGURES
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
+_OF_SENSORS = [field.key for field in (SENSORS, *GNSS_FIELDS)]
 _NO_COMMAND = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
 
 
@@ -189,8 +192,11 @@ def sample_of(
 
 def scenario_json(message: Any) -> bytes:
     """Attachment ``scenario.json`` of a run's bag: the request in user-facing units."""
+    scene = scenario_of(message)
+    left_out = _OF_SENSORS if scene.sensors == SENSORS.absent else ()
     values = {
-        **scenario_of(message).to_human(),
+        # That of a run without sensors is as it was before there were any.
+        **{key: value for key, value in scene.to_human().items() if key not in left_out},
         'run_id': message.run_id,
         'index': message.index,
         'program': message.program,

@@ -25,6 +25,7 @@ from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import WING
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError, quaternion
 from taxinet_ros.errors import UsageError
@@ -35,6 +36,8 @@ _KEPT = 256
 """Cache size of templates per kind: more than the formulas of a run."""
 _PROGRESS_STATE = 1
 """``NodeStatus.PROGRESS``."""
+_GNSS_FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
+"""``NavSatStatus.STATUS_FIX``, ``SERVICE_GPS``; ``NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN``."""
 
 Values = Mapping[str, Any]
 """Fields of a message by name; nested messages are mappings, missing fields are zero."""
@@ -151,9 +154,25 @@ def observation_messages(
     yield topics.CLOCK, clock_cdr(stamp_ns)
     yield topics.ODOMETRY, odometry_cdr(now.state, stamp_ns)
     yield topics.TRUTH, error_cdr(now.truth, run_id, now.seq, stamp_ns)
+    if now.measured is not None:
+        yield from sensor_messages(now.measured)
     yield topics.CAMERA_INFO, camera_info_cdr(stamp_ns, camera)
     if now.image is not None:
         yield topics.IMAGE, image_cdr(now.image, stamp_ns, CAMERA_FRAME)
+
+
+def sensor_messages(measured: Measured) -> Iterator[tuple[Topic, bytes]]:
+    """Serialised measurements of the sensors beside the camera, oldest first of each."""
+    for fix in measured.gnss:
+        yield topics.GNSS, _gnss(fix.sigma_m).filled(
+            *divmod(fix.stamp_ns, NS_PER_S), fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+    for turned in measured.imu:
+        yield topics.IMU, _imu(turned.sigmas).filled(
+            *divmod(turned.stamp_ns, NS_PER_S), *turned.orientation, *turned.rates_radps,
+            *turned.acceleration_mps2)
+    for speed in measured.wheel:
+        yield topics.WHEEL, _wheel(speed.sigma_mps).filled(
+            *divmod(speed.stamp_ns, NS_PER_S), speed.speed_mps)
 
 
 @functools.cache
@@ -184,6 +203,43 @@ def _odometry() -> MessageTemplate:
         *(f'pose.pose.orientation.{axis}' for axis in 'xyzw'),
         'twist.twist.linear.x', 'twist.twist.angular.z',
     )
+
+
+def _diagonal(sigma: float) -> list[float]:
+    return list(map(float, (np.eye(3) * sigma ** 2).ravel()))
+
+
+@functools.lru_cache(_KEPT)
+def _gnss(sigma_m: float) -> MessageTemplate:
+    return _template(topics.GNSS, {
+        'header': header_values(0, BASE_FRAME),
+        'status': {'status': _GNSS_FIX, 'service': _GPS},
+        'position_covariance': _diagonal(sigma_m),
+        'position_covariance_type': _DIAGONAL_KNOWN if sigma_m else 0,
+    }, *_STAMP, 'latitude', 'longitude', 'altitude')
+
+
+@functools.lru_cache(_KEPT)
+def _imu(sigmas: tuple[float, float, float]) -> MessageTemplate:
+    heading_rad, rate_radps, acceleration_mps2 = sigmas
+    return _template(
+        topics.IMU, {
+            'header': header_values(0, BASE_FRAME),
+            'orientation_covariance': _diagonal(heading_rad),
+            'angular_velocity_covariance': _diagonal(rate_radps),
+            'linear_acceleration_covariance': _diagonal(acceleration_mps2),
+        }, *_STAMP, *(f'orientation.{axis}' for axis in 'xyzw'),
+        *(f'angular_velocity.{axis}' for axis in 'xyz'),
+        *(f'linear_acceleration.{axis}' for axis in 'xyz'),
+    )
+
+
+@functools.lru_cache(_KEPT)
+def _wheel(sigma_mps: float) -> MessageTemplate:
+    return _template(topics.WHEEL, {
+        'header': header_values(0, BASE_FRAME),
+        'twist': {'covariance': [sigma_mps ** 2, *[0.0] * 35]},
+    }, *_STAMP, 'twist.twist.linear.x')
 
 
 @functools.lru_cache(_KEPT)

@@ -70,35 +70,40 @@ def bag_name(topic: Topic) -> str:
 
 
 _BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
-_STEPPED = tuple(
-    topic for one in topics.TOPICS if one.each_step
-    for topic in ((one, topics.TF) if one is topics.ODOMETRY else (one,))
-)
-"""Topics of a control step in the recorder's order."""
+_RANKS = {
+    topic.name: rank for rank, topic in enumerate(
+        topic for one in topics.TOPICS if one.each_step
+        for topic in ((one, topics.TF) if one is topics.ODOMETRY else (one,))
+    )
+}
+"""The recorder's order of the topics of a control step."""
 MIN_FREE_BYTES = 1_000_000_000
 """Free disk space needed to start the bag of a run [bytes]."""
 
 
 @functools.cache
-def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
+def bag_topics(images: bool = True, sensors: tuple[str, ...] = ()) -> tuple[TopicInfo, ...]:
     """Recorded topics of the graph, as bag topic descriptions.
 
     Args:
         images: whether to include camera frames.
+        sensors: names of the sensors beside the camera.
     """
+    left_out = {topic.name for name, topic in topics.SENSORS.items() if name not in sensors}
+    left_out |= set() if images else {topics.IMAGE.name}
     return tuple(
         describe_topic(
             name=bag_name(topic), type_name=topic.type_name,
             qos=offered_qos(**dataclasses.asdict(topic.quality)),
         )
-        for topic in _TOPICS if topic.recorded and (images or topic.name != topics.IMAGE.name)
+        for topic in _TOPICS if topic.recorded and topic.name not in left_out
     )
 
 
 @functools.cache
-def canonical_bytes(images: bool) -> Canonical:
-    """Makes the bytes of equal messages equal; ``images`` as in :func:`bag_topics`."""
-    return Canonical(bag_topics(images))
+def canonical_bytes(images: bool, sensors: tuple[str, ...]) -> Canonical:
+    """Makes the bytes of equal messages equal; arguments as in :func:`bag_topics`."""
+    return Canonical(bag_topics(images, sensors))
 
 
 def run_words(scenario: Any) -> dict[str, str]:
@@ -134,8 +139,8 @@ class BegunBag:
     """
 
     def __init__(
-        self, folder: Path, scenario: Any, *, images: bool, attachments: Mapping[str, bytes],
-        min_free_bytes: int, make_parents: bool,
+        self, folder: Path, scenario: Any, *, images: bool, sensors: tuple[str, ...],
+        attachments: Mapping[str, bytes], min_free_bytes: int, make_parents: bool,
     ) -> None:
         """Start the bag.
 
@@ -143,6 +148,7 @@ class BegunBag:
             folder: the run folder, named like the run; it must not exist.
             scenario: scenario message of the run.
             images: whether there will be camera frames.
+            sensors: names of the sensors beside the camera.
             attachments: files to attach besides the request, by name.
             min_free_bytes: required free disk space [bytes].
             make_parents: whether to create the folder's parents.
@@ -152,9 +158,10 @@ class BegunBag:
             BagWriteError: an error of the operating system.
         """
         self.folder = folder
-        self._canonical = canonical_bytes(images)
+        self._canonical = canonical_bytes(images, sensors)
         self._writer = BagWriter(
-            folder, bag_topics(images), metadata=run_words(scenario), beside=commit_words(),
+            folder, bag_topics(images, sensors), metadata=run_words(scenario),
+            beside=commit_words(),
             attachments={'scenario.json': scenario_json(scenario), **attachments},
             min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
@@ -216,14 +223,14 @@ def node_words(
         NodeWords(
             node=topics.PERCEPTION, implementation=eyes.word, fingerprint=eyes.fingerprint,
             detail=origin_words(PERCEPTIONS, eyes.word),
-            listens=(topics.SCENARIO.name, seen.name),
+            listens=(topics.SCENARIO.name, *_sensor_topics(eyes), seen.name),
         ),
         NodeWords(
             node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
             implementation=gains_text(tuned) if isinstance(hands, SteeringLaw) else hands.word,
             detail=origin_words(CONTROLLERS, hands.word),
             listens=(
-                topics.SCENARIO.name, topics.ESTIMATE.name,
+                topics.SCENARIO.name, *_sensor_topics(hands), topics.ESTIMATE.name,
                 *((topics.IMAGE.name,) if hands.needs_image else ()),
             ),
         ),
@@ -240,6 +247,10 @@ def node_words(
             detail=detail,
         ))
     return tuple(nodes)
+
+
+def _sensor_topics(part: Perception | Controller) -> list[str]:
+    return [one.name for one in topics.SENSORS.values()] if part.needs_sensors else []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,11 +285,12 @@ class RunBag(BegunBag):
         self._specs = request.judging.parsed_specs
         self._camera = request.scenario.camera_model
         self._steps = 0
+        sensors = request.scenario.sensor_set.names
         scenario_cdr = message_cdr(
             topics.SCENARIO, {'header': header_values(0), **scenario_values(request)}
         )
         super().__init__(
-            folder, decode(bag_topics(images)[0], scenario_cdr), images=images,
+            folder, decode(bag_topics(images)[0], scenario_cdr), images=images, sensors=sensors,
             attachments=attachments, min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
         ready = _ready(request.run_id, nodes, self._camera)
@@ -316,11 +328,10 @@ class RunBag(BegunBag):
     ) -> None:
         """Write a step's messages in the recorder's order, that of the topic table."""
         seen = now if now.image is picture else dataclasses.replace(now, image=picture)
-        # By name, as hashing a topic takes as long as serialising its message.
         observed = observation_messages(seen, self._run_id, self._camera)
-        said = {topic.name: cdr for topic, cdr in (*observed, *answers)}
-        said[topics.TF.name] = aircraft_transform(now.state, now.stamp_ns)
-        ordered = [(topic, said[topic.name]) for topic in _STEPPED if topic.name in said]
+        moved = topics.TF, aircraft_transform(now.state, now.stamp_ns)
+        # By name, as hashing a topic takes as long as serialising its message.
+        ordered = sorted((*observed, *answers, moved), key=lambda said: _RANKS[said[0].name])
         for topic, cdr in (*ordered, *readings):  # canonical, as made from templates
             self._writer.write(_BAG_NAMES[topic.name], cdr, now.stamp_ns)
         self._writer.flush()

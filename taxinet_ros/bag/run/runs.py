@@ -37,6 +37,7 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     VERDICT,
     is_of_frames,
+    is_of_sensors,
     is_topic,
 )
 from taxinet_ros.bag.storage.reader import StoredMessage
@@ -136,9 +137,11 @@ def tell_runs_apart(info: BagInfo, decode: Callable[[StoredMessage], Any]) -> Ru
         except BagError as error:  # An invalid message belongs to no run.
             broken.append(error)
             index.broken.add(len(index.owners) - 1)
-    # Transforms are ignored: those of a run are derived from odometry.
+    # Transforms are ignored: those of a run are derived from odometry. Sensors are no part of what
+    # a run is judged by.
     others = any(
-        info.counts[topic.name] and not is_of_frames(topic.name)
+        info.counts[topic.name]
+        and not (is_of_frames(topic.name) or is_of_sensors(topic.name))
         and (topic.encoding != 'cdr' or not topic_parts(topic.name)[0]) for topic in info.topics
     )
     return index.found(tuple(broken), others=others)

@@ -32,12 +32,17 @@ ONCE = frozenset(
     topic.name for topic in (*topics.TOPICS, *topics.TRANSFORMS)
     if topic.recorded and not topic.each_step
 )
-"""Topics that are not published in every control step; all others of a run are."""
+"""Topics whose messages belong to no control step."""
 
 
 def is_topic(name: str, relative: str) -> bool:
     """Whether ``name`` is the topic ``relative`` in any namespace."""
     return name == relative or name.endswith('/' + relative)
+
+
+def is_of_sensors(name: str) -> bool:
+    """Whether a topic has measurements of sensors beside the camera, in any namespace."""
+    return any(is_topic(name, topic.name) for topic in topics.SENSORS.values())
 
 
 def is_of_frames(name: str) -> bool:

@@ -36,6 +36,7 @@ from taxinet_ros.core.perception.perception import (
     make_perception,
 )
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import NO_NODE_HERE, is_node_elsewhere
 from taxinet_ros.errors import UsageError
@@ -173,6 +174,8 @@ class Assured(Controller):
             parts.fallback.partition(':')[0],
         )
         self._inner, self._monitor, self._second = inner, monitor, second
+        self._sensing = [part for part in (inner, second) if part and part.needs_sensors]
+        self.needs_sensors = bool(self._sensing)
         self.alarm: Alarm | None = None
         self._image: NDArray[np.uint8] | None = None
         self._last = STOP
@@ -200,6 +203,11 @@ class Assured(Controller):
     def see(self, image: NDArray[np.uint8]) -> None:
         """Take the frame of the next estimate."""
         self._image = image
+
+    def sense(self, measured: Measured) -> None:
+        """Pass on what the sensors deliver."""
+        for part in self._sensing:
+            part.sense(measured)
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """Judge the estimate, and return the command of whoever is in charge.

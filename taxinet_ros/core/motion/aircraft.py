@@ -270,7 +270,11 @@ class Aircraft:
     Attributes:
         model: its model, including measured values.
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
+        traced: whether to keep the states of each period.
+        states: at the begin of the last period and after each of its physics steps, if traced.
     """
+
+    traced = False
 
     def __init__(
         self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
@@ -375,9 +379,18 @@ class Aircraft:
 
     def _integrate(self) -> bool:
         run = self._fdm.run
+        if self.traced:
+            self.states = [self._state]
+            run = self._run_traced
         if self._wind is None or self._wind.steady:
             return all(run() for _ in range(self._steps))
         return all(run() for _ in self._wind.gusts(self._fdm, self._steps))
+
+    def _run_traced(self) -> bool:
+        done: bool = self._fdm.run()
+        if done:
+            self.states.append(self._measure())
+        return done
 
     def _load(self, name: str, *, scenario: Scenario) -> jsbsim.FGFDMExec:
         with captured_log() as log, ExitStack() as used:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.arguments import a, check_fields, takes
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.units import typed_number
 from taxinet_ros.core.user_code import (
@@ -177,11 +178,13 @@ class Controller(Protocol):
         fingerprint: SHA-256 of the Python file and the files it lists, or of the package; empty for
             the law.
         needs_image: whether :meth:`see` is called with each frame, ahead of its estimate.
+        needs_sensors: whether :meth:`sense` is called ahead of each command.
     """
 
     word: str
     fingerprint: str
     needs_image: bool = False
+    needs_sensors: bool = False
 
     def begin(self, scenario: Scenario | None = None) -> None:
         """Reset; called before each run.
@@ -193,6 +196,10 @@ class Controller(Protocol):
 
     def see(self, image: NDArray[np.uint8]) -> None:
         """Take the frame of the next estimate, (H, W, 3) uint8 RGB."""
+        return
+
+    def sense(self, measured: Measured) -> None:
+        """Take what the sensors beside the camera deliver for the next command."""
         return
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
@@ -230,7 +237,8 @@ class UserController(Controller):
     """A user function from a :class:`TrackingError` to a command.
 
     It is called with every estimate, including unusable ones, and returns a pair
-    ``(steering_rad, speed_mps)`` or a :class:`TaxiCommand`.
+    ``(steering_rad, speed_mps)`` or a :class:`TaxiCommand`. One with a parameter ``sensors`` also
+    receives the :class:`.Measured` of the step.
     """
 
     def __init__(self, code: UserCode) -> None:
@@ -242,6 +250,11 @@ class UserController(Controller):
         self.word = code.word
         self.fingerprint = code.sha256
         self._run = RunCode(code)
+        self.needs_sensors = self._run.needs_sensors
+
+    def sense(self, measured: Measured) -> None:
+        """See :class:`Controller`."""
+        self._run.sense(measured)
 
     def begin(self, scenario: Scenario | None = None) -> None:
         """Reset to the initial state."""

@@ -5,7 +5,7 @@ The recorder and the monitor use it: their inputs come on many topics, which ove
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from taxinet_ros.core.topics import COMMAND, ESTIMATE
@@ -21,10 +21,17 @@ class StepCollector:
         repeated: number of messages beyond the expected ones.
     """
 
-    def __init__(self, expected: Mapping[str, int]) -> None:
-        """``expected``: topic name to number of messages per step."""
-        self._expected = dict(expected)
-        self._total = sum(expected.values())
+    def __init__(
+        self, expected: Mapping[str, int],
+        more: Callable[[int], Mapping[str, int]] | None = None,
+    ) -> None:
+        """Expect the same in each step, and more in some.
+
+        Args:
+            expected: topic name to number of messages per step.
+            more: the same of further topics, by step; None: there are none.
+        """
+        self._expected, self._more = dict(expected), more
         self._pending: dict[int, _Pending] = {}
         self._next = 0
         self.repeated = 0
@@ -40,9 +47,9 @@ class StepCollector:
             return ()
         step = self._pending.get(seq)
         if step is None:
-            step = self._pending[seq] = _Pending(self._total)
+            step = self._pending[seq] = self._begun(seq)
         messages = step.messages.get(topic, ())
-        if topic in step.excused or len(messages) == self._expected[topic]:
+        if topic in step.excused or len(messages) >= step.expected.get(topic, 0):
             self.repeated += 1
             return ()
         messages = step.messages.setdefault(topic, [])
@@ -66,11 +73,15 @@ class StepCollector:
         """Drop a topic from a step, including messages received."""
         if seq < self._next:
             return ()
-        step = self._pending.setdefault(seq, _Pending(self._total))
+        step = self._pending.setdefault(seq, self._begun(seq))
         if topic not in step.excused:
             step.excused.add(topic)
-            step.missing -= self._expected[topic] - len(step.messages.pop(topic, ()))
+            step.missing -= step.expected[topic] - len(step.messages.pop(topic, ()))
         return () if step.missing or seq != self._next else self._whole()
+
+    def _begun(self, seq: int) -> _Pending:
+        more = self._more(seq) if self._more is not None else None
+        return _Pending({**self._expected, **more} if more else self._expected)
 
     def _whole(self) -> list[Step]:
         whole = []
@@ -105,11 +116,12 @@ class FreeProgress:
 
 
 class _Pending:
-    """Messages of a step by topic, number still missing, and excused topics."""
+    """Messages of a step by topic, numbers expected and still missing, and excused topics."""
 
-    __slots__ = ('excused', 'messages', 'missing')
+    __slots__ = ('excused', 'expected', 'messages', 'missing')
 
-    def __init__(self, missing: int) -> None:
+    def __init__(self, expected: Mapping[str, int]) -> None:
         self.messages: dict[str, list[Any]] = {}
-        self.missing = missing
+        self.expected = expected
+        self.missing = sum(expected.values())
         self.excused: set[str] = set()

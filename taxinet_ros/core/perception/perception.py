@@ -25,6 +25,7 @@ from taxinet_ros.core.perception.onnx.trial import tried_network
 from taxinet_ros.core.perception.weights import SUFFIX, card_path, load_card, load_model
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.types import NO_ESTIMATE, UNKNOWN_COVARIANCE, TrackingError
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
@@ -54,11 +55,13 @@ class Perception(Protocol):
         fingerprint: SHA-256 of the weights file, of the ONNX file followed by its description, of
             the Python file and those that it lists, or of the package; empty for the truth.
         needs_image: whether it uses camera frames.
+        needs_sensors: whether :meth:`sense` is called ahead of each estimate.
     """
 
     word: str
     fingerprint: str
     needs_image: bool
+    needs_sensors: bool = False
 
     def begin(self, rig: Rig | None = None) -> None:
         """Reset; called before each run.
@@ -66,6 +69,10 @@ class Perception(Protocol):
         Args:
             rig: camera and aircraft of the run; None if unknown.
         """
+        return
+
+    def sense(self, measured: Measured) -> None:
+        """Take what the other sensors deliver for the next estimate."""
         return
 
     def estimate(
@@ -166,7 +173,8 @@ class UserPerception(Perception):
     It returns a pair ``(cte_m, he_rad)``, with a third value their 2 x 2 covariance, a
     :class:`TrackingError`, or None for no estimate. With
     ``needs_image = False`` it receives the true :class:`TrackingError` instead of the image. One
-    with a parameter ``rig`` also receives the :class:`.Rig` of the run.
+    with a parameter ``rig`` also receives the :class:`.Rig` of the run, one with a parameter
+    ``sensors`` the :class:`.Measured` of the step.
     """
 
     def __init__(self, code: UserCode) -> None:
@@ -179,6 +187,7 @@ class UserPerception(Perception):
         self.word = code.word
         self.fingerprint = code.sha256
         self._run = RunCode(code)
+        self.needs_sensors = self._run.needs_sensors
         self._named: dict[str, Rig | None] = {}
         with code.running(UsageError):
             self.needs_image = bool(getattr(self._run.function, 'needs_image', True))
@@ -187,6 +196,10 @@ class UserPerception(Perception):
         """Reset to the initial state."""
         self._run.begin()
         self._named = {'rig': rig} if has_parameter(self._run.function, 'rig') else {}
+
+    def sense(self, measured: Measured) -> None:
+        """See :class:`Perception`."""
+        self._run.sense(measured)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception.perception import GroundTruth, Perception
 from taxinet_ros.core.rig.rig import Rig
+from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.errors import UsageError
 
@@ -127,13 +128,17 @@ class HalfTruth(Perception):
         """Replace the cross-track error if ``cte``, else the heading error."""
         self.word = TRUTH_CTE if cte else TRUTH_HEADING
         self.fingerprint = network.fingerprint
-        self.needs_image = network.needs_image
+        self.needs_image, self.needs_sensors = network.needs_image, network.needs_sensors
         self._network = network
         self._cte = cte
 
     def begin(self, rig: Rig | None = None) -> None:
         """Reset the network."""
         self._network.begin(rig)
+
+    def sense(self, measured: Measured) -> None:
+        """Pass on what the sensors deliver."""
+        self._network.sense(measured)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -154,7 +159,7 @@ class Delayed(Perception):
         """``delay_s``: delay [s], a whole number of control steps."""
         self.word = f'{perception.word} {delay_s:g} s ago'
         self.fingerprint = perception.fingerprint
-        self.needs_image = perception.needs_image
+        self.needs_image, self.needs_sensors = perception.needs_image, perception.needs_sensors
         self._perception = perception
         self._estimates: deque[TrackingError] = deque(maxlen=round(delay_s / _STEP_S) + 1)
 
@@ -162,6 +167,10 @@ class Delayed(Perception):
         """Reset the perception and clear the buffer."""
         self._perception.begin(rig)
         self._estimates.clear()
+
+    def sense(self, measured: Measured) -> None:
+        """Pass on what the sensors deliver."""
+        self._perception.sense(measured)
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None

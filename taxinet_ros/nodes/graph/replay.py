@@ -31,8 +31,9 @@ from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.run.topics import CAMERA_FRAME
 from taxinet_ros.bag.topics import type_hash
+from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
-from taxinet_ros.core.motion.controller import STEERING, gains_text
+from taxinet_ros.core.motion.controller import STEERING, SteeringGains, gains_text
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.step_collector import StepCollector
 from taxinet_ros.core.perception.perception import make_perception
@@ -201,6 +202,7 @@ def replay(
     """
     if target not in _ANSWERS:
         raise UsageError(f'--into {target}: not a replay target; known: {", ".join(TARGETS)}')
+    _refuse_sensing(target, perception, controller)
     inputs = _inputs(target, perception)
     answer = _ANSWERS[target]
     _check_types(recording, inputs)
@@ -267,6 +269,21 @@ def play_pictures(
             node.end()
     return [error_of(player.answers[seq][interface.ESTIMATE.name][0])
             for seq in sorted(player.answers)]
+
+
+def _refuse_sensing(target: str, perception: str, controller: str) -> None:
+    """Refuse functions that would wait for sensors, which are not replayed."""
+    asking = (
+        target == interface.PERCEPTION and make_perception(perception).needs_sensors
+    ) or (
+        target == interface.STEERING_CONTROLLER
+        and make_controller(controller, SteeringGains()).needs_sensors
+    )
+    if asking:
+        raise UsageError(
+            f'--into {target}: its function has a parameter sensors, which are not replayed; run '
+            'the scene again: taxinet run --from BAG'
+        )
 
 
 def _inputs(target: str, perception: str) -> tuple[Topic, ...]:

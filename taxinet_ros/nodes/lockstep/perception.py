@@ -5,6 +5,8 @@ from __future__ import annotations
 import abc
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.cdr.image import frame_of_cdr
@@ -13,12 +15,16 @@ from taxinet_ros.bag.run.messages import error_cdr
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.rig.catalogue import WING
-from taxinet_ros.core.types import TrackingError as Estimate
+from taxinet_ros.core.sensors import Measured
+from taxinet_ros.core.types import TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.participant import Participant
+from taxinet_ros.nodes.lockstep.senses import Senses
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.parameters import refuse_unknown
 from taxinet_ros.registry import PERCEPTIONS, origin_words
+
+_Seen = tuple[NDArray[np.uint8] | None, TrackingError | None]
 
 
 class PerceptionNode(Participant, abc.ABC):
@@ -34,6 +40,7 @@ class PerceptionNode(Participant, abc.ABC):
         self.fingerprint = self._perception.fingerprint
         self.origin = origin_words(PERCEPTIONS, self.implementation)
         self._estimates = self.speak(interface.ESTIMATE)
+        self._senses = Senses(self, self._answer) if self._perception.needs_sensors else None
         if self._perception.needs_image:
             self.listen(interface.IMAGE, self._see, raw=True, newest=True)
         else:
@@ -41,9 +48,16 @@ class PerceptionNode(Participant, abc.ABC):
 
     def prepare(self, scenario: Scenario) -> None:
         """Reset from the previous run."""
-        rig = scenario_of(scenario).rig
-        self._perception.begin(rig)
-        self._expected = rig.camera.shape
+        scene = scenario_of(scenario)
+        self._perception.begin(scene.rig)
+        self._expected = scene.rig.camera.shape
+        if self._senses is not None:
+            self._senses.begin(scene)
+
+    def clear(self) -> None:
+        """See :class:`Participant`."""
+        if self._senses is not None:
+            self._senses.clear()
 
     @abc.abstractmethod
     def choose(self) -> Perception:
@@ -53,12 +67,22 @@ class PerceptionNode(Participant, abc.ABC):
         stamp_ns, pixels = frame_of_cdr(cdr)
         if pixels.shape != self._expected:
             raise ValueError(f'image is {pixels.shape}, expected {self._expected}')
-        self._say(self._perception.estimate(pixels, None), self.run_id, stamp_ns)
+        self._hold((pixels, None), self.run_id, stamp_ns)
 
     def _know(self, truth: StepMessage) -> None:
-        estimate = self._perception.estimate(None, truth.value)
-        self._say(estimate, truth.run_id, truth.stamp_ns)
+        self._hold((None, truth.value), truth.run_id, truth.stamp_ns)
 
-    def _say(self, estimate: Estimate, run_id: str, stamp_ns: int) -> None:
+    def _hold(self, seen: _Seen, run_id: str, stamp_ns: int) -> None:
+        given = seen, run_id, stamp_ns
+        if self._senses is None:
+            self._answer(given, None)
+        else:
+            self._senses.take(stamp_ns // CONTROL_PERIOD_NS, given)
+
+    def _answer(self, given: tuple[_Seen, str, int], measured: Measured | None) -> None:
+        seen, run_id, stamp_ns = given
+        if measured is not None:
+            self._perception.sense(measured)
+        estimate = self._perception.estimate(*seen)
         seq = stamp_ns // CONTROL_PERIOD_NS
         self._estimates.publish(error_cdr(estimate, run_id, seq, stamp_ns))

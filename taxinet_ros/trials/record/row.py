@@ -50,7 +50,8 @@ class RunRow:
             runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
             lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
             loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
-            fault_onset_s, fault_seed, traffic, camera, datarefs, duration_s, place: the scenario,
+            fault_onset_s, fault_seed, traffic, camera, sensors, gnss_noise_m, gnss_bias_m,
+            gnss_dropout_start_s, gnss_dropout_s, datarefs, duration_s, place: the scenario,
             see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         signals: its control points by key, see :mod:`taxinet_ros.core.signals`.
         outcome: how the run ended.
@@ -129,6 +130,11 @@ class RunRow:
     camera_droll_deg: float | None = None
     camera_dpitch_deg: float | None = None
     camera_dyaw_deg: float | None = None
+    sensors: str = ''
+    gnss_noise_m: float | None = None
+    gnss_bias_m: float | None = None
+    gnss_dropout_start_s: float | None = None
+    gnss_dropout_s: float | None = None
     datarefs: str = ''
     duration_s: float | None = None
     place: str = ''

@@ -24,10 +24,15 @@ from taxinet_ros.core.scenario_fields import (
     FAULT_SEED,
     FAULTS,
     FORM,
+    GNSS_BIAS,
+    GNSS_DROPOUT,
+    GNSS_DROPOUT_START,
+    GNSS_NOISE,
     GUST,
     GUST_SEED,
     PUSHING_FIELDS,
     RAIN_CLOUDS,
+    SENSORS,
     TRAFFIC,
     WIND_DIRECTION,
     WIND_SPEED,
@@ -52,20 +57,22 @@ STEPS = {
     'lens_dirt_percent': 1.0, 'lens_drops_percent': 1.0, 'glare_ghost_percent': 5.0,
     'exposure_jump_ev': 0.1, 'loop_delay_s': 0.1, 'loop_jitter_s': 0.1, 'steering_bias_deg': 0.1,
     **{field.key: 0.01 if field.unit == 'm' else 0.1 for field in CAMERA_OFFSETS},
+    'gnss_noise_m': 0.1, 'gnss_bias_m': 0.1, 'gnss_dropout_s': 0.5,
 }
 """Step of each numeric parameter; 0.05 h are 3 min. A limit of the steering rate has none, as the
 least severe one is as far from no limit as any."""
+_GNSS = (GNSS_NOISE, GNSS_BIAS, GNSS_DROPOUT)
 KEYS = (
     'cross_track_m', 'heading_deg', 'distance_m', 'time_of_day_h', 'clouds', 'rain_percent',
     'wind_speed_mps', 'gust_mps', 'runway_state', 'slope_percent', 'speed_mps',
-    *(field.key for field in (*FAULTS, *CAMERA_OFFSETS)), 'traffic', 'shadows', 'crossing', 'date',
-    'aircraft',
+    *(field.key for field in (*FAULTS, *CAMERA_OFFSETS, *_GNSS)), 'traffic', 'shadows', 'crossing',
+    'date', 'aircraft',
 )
 """Parameters to move to nominal, with their control points; the last four keep the run's values
 unless given."""
 _FOLLOWERS = {
     WIND_DIRECTION: (WIND_SPEED,), GUST_SEED: (GUST,), FAULT_ONSET: FAULTS,
-    FAULT_SEED: DRAWN_FAULTS,
+    FAULT_SEED: DRAWN_FAULTS, GNSS_DROPOUT_START: (GNSS_DROPOUT,),
 }
 """Parameters without effect when all of the others are 0; they are set to 0 with them."""
 
@@ -163,7 +170,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         'time_of_day_h': NOMINAL_HOUR,
         'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
     }
-    moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)
+    moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS, *_GNSS)
     pushed = {field.key: field.to_human(field.absent) for field in moved}
     pushed[TRAFFIC.key] = NOBODY
     pushed |= {name: pushed[key] for key in KEYS for name in _points(key, drawn)}
@@ -208,6 +215,8 @@ def _followers(values: Mapping[str, Any]) -> dict[str, float]:
             leader.from_human(values[name]) for leader in leaders
             for name in (leader.key, *_points(leader.key, values))
         )
+        # It also seeds the noise of sensors, which stay.
+        and not (follower is FAULT_SEED and values[SENSORS.key] != SENSORS.absent)
         for name in (follower.key, *_points(follower.key, values))
     }
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.perception.substituted import (
     AS_RECORDED,
     TRUTH_CTE,
@@ -22,7 +23,7 @@ from taxinet_ros.errors import UsageError
 ERRORS = st.builds(TrackingError, cte_m=st.floats(-20, 20), he_rad=st.floats(-1.5, 1.5))
 
 
-class Wrong:
+class Wrong(Perception):
     """A network that is wrong in a way one can foresee."""
 
     word, fingerprint, needs_image = 'wrong', 'abc', True

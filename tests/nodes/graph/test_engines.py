@@ -12,6 +12,7 @@ from graph_runs import run_in
 from own_place import OWN_PLACE
 from plugins import lay_down
 
+from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_latency
@@ -150,6 +151,57 @@ def test_given_latency_and_functions_of_a_file_then_every_byte_is_the_same(tmp_p
         timing=parse_latency(['perception=normal(0.15,0.05)', 'controller=uniform(0,0.2)']),
     )
     assert results[0].robustness != results[1].robustness, 'latencies are drawn for each run'
+
+
+SENSING = """
+class Fused:
+    def __init__(self):
+        self.cte_m, self.he_rad = None, 0.0
+    def __call__(self, image, sensors):
+        for turned in sensors.imu:
+            self.he_rad += turned.yaw_rate_radps / 100
+        for fix in sensors.gnss:
+            self.cte_m = fix.cte_m
+        return None if self.cte_m is None else (self.cte_m, self.he_rad)
+
+def steer(estimate, sensors):
+    fast = bool(sensors.wheel) and sensors.wheel[-1].speed_mps > 4.9
+    steering = -0.03 * estimate.cte_m if estimate.usable else 0.0
+    return steering + 1e-3 * len(sensors.gnss), 4.5 if fast else 5.0
+"""
+SENSORS = """
+gnss: {rate_hz: 5, noise_m: 0.5, correlation_s: 3, delay_s: 0.13, loss_percent: 20}
+imu: {rate_hz: 100, yaw_rate_noise_degps: 0.5, dropouts: [{start_s: 0.6, length_s: 0.35}]}
+wheel: {rate_hz: 20, noise_mps: 0.1, bias_percent: 2}
+"""
+
+
+@pytest.mark.parametrize('images', ['none', 'all'])
+def test_given_sensors_and_functions_that_ask_for_them_then_every_byte_is_the_same(
+    images, tmp_path
+):
+    (tmp_path / 'mine.py').write_text(SENSING)
+    (tmp_path / 'mine.yaml').write_text(SENSORS)
+    scene = scenario_from_human({
+        'cross_track_m': 2.0, 'duration_s': 2, 'sensors': f'{tmp_path}/mine.yaml',
+        'gnss_dropout_start_s': 1.2, 'gnss_dropout_s': 0.4, 'fault_seed': 5,
+    })
+    asked = [request(0, scene), request(1, Scenario(duration_s=1.0)), request(2, scene)]
+    results = check_same(
+        asked, tmp_path, perception=f'{tmp_path}/mine.py:Fused',
+        controller=f'{tmp_path}/mine.py:steer', images=images,
+    )
+    assert [result.outcome.judged for result in results] == [True, False, True]
+    assert 'mine.py: Fused has a parameter sensors' in results[1].detail
+    recording = open_recording(tmp_path / 'graph' / 'run-0')
+    counts = recording.info.counts
+    assert (counts['/wheel/twist'], counts['/imu/data']) == (41, 201 - 35)
+    assert 0 < counts['/gnss/fix'] < 11 - 2
+    checks = check_bag(tmp_path / 'graph' / 'run-0').checks
+    assert [check.findings for check in checks] == [()] * 4
+    assert recording.run.request.scenario == scene
+    assert not any('gnss' in topic or 'imu' in topic for topic in open_recording(
+        tmp_path / 'graph' / 'run-1').info.counts)
 
 
 MONITORS = """

@@ -81,3 +81,13 @@ def test_given_messages_of_another_version_then_they_are_not_misread(monkeypatch
     monkeypatch.setattr('taxinet_ros.nodes.graph.replay.type_hash', lambda name: 'RIHS01_other')
     with pytest.raises(UsageError, match='another version'):
         columns(TRUTH, 'steering_controller')
+
+
+@pytest.mark.parametrize('target', ['perception', 'steering_controller'])
+def test_given_a_function_that_asks_for_sensors_then_a_replay_is_refused_by_name(target, tmp_path):
+    (tmp_path / 'mine.py').write_text('def mine(seen, sensors):\n    return 0.0, 5.0\n')
+    recording = open_recording(GOLDEN / 'truth-nominal')
+    words = {'perception': 'truth', 'controller': 'steering'}
+    words['perception' if target == 'perception' else 'controller'] = f'{tmp_path}/mine.py:mine'
+    with pytest.raises(UsageError, match=f'--into {target}: its function has a parameter sensors'):
+        replay(recording, recording.run, target=target, **words)

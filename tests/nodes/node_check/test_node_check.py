@@ -343,7 +343,7 @@ def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq)
         steps[topic.name] = (stamp.sec * 1_000_000_000 + stamp.nanosec) / 100_000_000
     assert steps == {
         topic.name: seq for topic in interface.TOPICS
-        if topic.publishers == (interface.SIMULATOR,) and topic.each_step
+        if topic.publishers == (interface.SIMULATOR,) and topic.recorded == interface.PER_STEP
     }
     fields = {
         topic.name: {'seq', 'run_id'} & topic.type.get_fields_and_field_types().keys()
