@@ -62,9 +62,11 @@ _NEEDS = {
 """Values that have an effect only where one of others is not 0."""
 _ALLOWING = {
     SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01, LENS_DIRT.key: 1.0,
-    DURATION.key: DURATION.high, DISTANCE.key: 0.0, SENSORS.key: 'standard', GNSS_DROPOUT.key: 1.0,
+    DURATION.key: DURATION.high, DISTANCE.key: 0.0,
 }
 """Values that are compatible with every value of the other keys."""
+_ALLOWING_GNSS = {SENSORS.key: 'standard', GNSS_DROPOUT.key: 1.0}
+"""The same, but for those of ``sensors`` itself."""
 _RIG = (AIRCRAFT_MODEL.key, CAMERA.key)
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
@@ -272,7 +274,8 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
         field.checked(field.from_human(value), field.anywhere)
         return
     # Check each with values that allow it: rain with a rainy sky, crossing keys with a crossing.
-    last_step(scenario_from_human({**(place or {}), **_ALLOWING, key: value}))
+    allowing = _ALLOWING if key == SENSORS.key else {**_ALLOWING, **_ALLOWING_GNSS}
+    last_step(scenario_from_human({**(place or {}), **allowing, key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

@@ -15,7 +15,7 @@ import pytest
 from taxinet_ros.cli import main as cli
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.record import examine_record
+from taxinet_ros.files.record import examine_record, read_record
 from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.campaign import exit_code
@@ -199,7 +199,7 @@ def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_aga
 ):
     whole, fixed = tmp_path / 'whole', 0
     toy.finish(toy.options(whole))
-    sound = (whole / 'campaign.db').read_bytes()
+    sound, entries = (whole / 'campaign.db').read_bytes(), read_record(whole / 'campaign.db')
     for number, data in enumerate(damages(sound)):
         out = tmp_path / str(number)
         shutil.copytree(whole, out)
@@ -207,6 +207,9 @@ def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_aga
         with contextlib.suppress(UsageError):
             examine_record(out / 'campaign.db')
             continue  # in bytes that nothing uses
+        with contextlib.suppress(UsageError):
+            assert read_record(out / 'campaign.db') == entries
+            continue  # in the index alone, which doctor names and what is read does not need
         for read in (read_campaign, read_table, open_campaign):
             with pytest.raises(UsageError, match=f'^{out}/campaign.db: damaged ') as caught:
                 read(out)

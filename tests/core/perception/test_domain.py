@@ -82,7 +82,7 @@ def test_a_network_for_any_place_and_camera_has_their_numbers():
         'time_of_day_h': (12.0, 12.0), 'rain_percent': (0.0, 0.0),
         'runway_width_m': (23.0, 60.0), 'camera_aside_m': (0.0, 2.17),
         'camera_turned_deg': (0.0, 4.5), 'camera_down_deg': (8.0, 10.5),
-        'camera_field_of_view_deg': (74.5, 80.5),
+        'camera_field_of_view_deg': (74.5, 80.5), 'sun_elevation_deg': (23.0, 41.0),
     }
     assert domain_words(ANYWHERE).endswith(
         'runway width 23 to 60 m, camera aside 0 to 2.17 m, camera turned aside 0 to 4.5°, '
@@ -93,9 +93,11 @@ def test_a_network_for_any_place_and_camera_has_their_numbers():
     ({'place': 'nzqn_05', 'distance_m': 0}, None),  # 45 m
     ({'place': 'random:20003', 'distance_m': 0}, 'runway width 23 to 60 m; this scene has runway '),
     ({'camera': 'strut', 'aircraft': 'c172p'}, 'aircraft caravan, camera'),
+    ({'place': 'bikf_10', 'date': '2020-12-21'}, 'sun 2 to 60° high; this scene has sun 1.24'),
+    ({'place': 'bikf_10', 'date': '2020-06-21'}, None),
 ])
 def test_another_place_is_outside_such_a_domain_only_by_its_numbers(value, words):
-    found = domain_doubts('net', ANYWHERE, scenes(value))
+    found = domain_doubts('net', {**ANYWHERE, 'sun_elevation_deg': (2.0, 60.0)}, scenes(value))
     assert (not found) if words is None else words in found[0]
 
 
@@ -141,7 +143,9 @@ def test_every_shipped_network_has_the_domain_of_its_programs_and_its_weights_ar
     hours = {word: find_domain(word)['time_of_day_h'] for word in SHIPPED}
     assert hours == {word: (8.5, 12.0) if word == 'original' else (6.0, 18.0) for word in SHIPPED}
     assert find_domain('original')['rain_percent'] == (0.0, 0.0)
-    assert {domain['camera'] for domain in map(find_domain, SHIPPED)} == {('wing',)}
+    domains = {word: find_domain(word) for word in SHIPPED}
+    assert domains.pop('anywhere')['sun_elevation_deg'] == (-1.0, 90.0)
+    assert {domain['camera'] for domain in domains.values()} == {('wing',)}
     assert load_card(card_path(SHIPPED['taxinet'])).weights_sha256.startswith('af34f1f2ef3d80a2')
 
 
