@@ -195,3 +195,16 @@ def test_a_campaign_outside_the_domain_says_so_before_its_runs():
 def test_a_single_run_outside_the_domain_warns_in_python():
     with pytest.warns(UserWarning, match='^taxinet was trained with camera wing; this scene has'):
         tx.run(Scenario(camera='nose', duration_s=0.2), perception='taxinet')
+
+
+@pytest.mark.parametrize(('word', 'values', 'named'), [
+    ('taxinet', {'place': 'bikf_10'}, True),
+    ('original', {'place': 'bikf_10', 'camera': 'nose'}, True),
+    ('taxinet', {'place': 'bikf_10', 'time_of_day_h': 6}, False),  # in the dark
+    ('original', {'clouds': 'stratus'}, False),  # taxinet was trained for it
+    ('taxinet', {}, False),
+])
+def test_the_network_for_any_place_is_named_where_it_is_what_is_missing(word, values, named):
+    found = network_doubts(word, [scenario_from_human(values)])
+    assert [line.endswith('; anywhere was trained for such') for line in found] == (
+        [named] if word == 'original' or values else [])
