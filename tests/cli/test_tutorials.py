@@ -36,7 +36,8 @@ SHORTENED = (STRANGER, 'own_runway')
 DOWNLOADS = re.compile(r'^curl |\| sha256sum --check$')
 FEWER = {
     r'--runs \d+': '--runs 4', r'--images \d+': '--images 8',
-    r'--validation \d+': '--validation 4', r'(measure\.py \S+) \d+': r'\1 2',
+    r'--validation \d+': '--validation 4', r'--epochs \d+': '--epochs 1 --batch 8',
+    r'(measure\.py \S+) \d+': r'\1 2',
     '--engine loop': '--engine loop --audit 0 --set duration=3',
 }
 """What shortens the commands of these pages."""
