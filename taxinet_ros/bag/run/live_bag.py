@@ -15,9 +15,8 @@ from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.message_values import account_of, scenario_of
 from taxinet_ros.bag.run.messages import header_values, message_cdr
 from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, BegunBag, outcome_words
-from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
+from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED, topic_info
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
-from taxinet_ros.bag.topics import describe_topic
 from taxinet_ros.bag.writer import FREE_RUN_METADATA
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
@@ -38,7 +37,7 @@ DDS resends lost messages after 3 s at most.
 
 
 _DECODE = {
-    topic.name: decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
+    topic.name: decoder(topic_info(topic))
     for topic in (topics.NODE_STATUS, topics.TIMING, topics.VERDICT, topics.RUN_STATUS)
 }
 

@@ -18,8 +18,7 @@ from taxinet_ros.bag.cdr.alignment import FORMATS
 from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.cdr.fields import MessageTemplate
 from taxinet_ros.bag.cdr.image import image_cdr
-from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
-from taxinet_ros.bag.topics import describe_topic
+from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME, topic_info
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.mtl import Reading, Spec
@@ -51,8 +50,7 @@ def header_values(stamp_ns: int, frame_id: str = MAP_FRAME) -> Values:
 
 def message_cdr(topic: Topic, values: Values) -> bytes:
     """Serialise any message of a topic."""
-    described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
-    store = typestore(described)
+    store = typestore(topic_info(topic))
     return bytes(store.serialize_cdr(_message(store, topic.type_name, values), topic.type_name))
 
 
@@ -276,5 +274,4 @@ def _progress(node: str, implementation: str, fingerprint: str, run_id: str) -> 
 
 
 def _template(topic: Topic, values: Values, *fields: str) -> MessageTemplate:
-    described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
-    return MessageTemplate(described, message_cdr(topic, values), fields)
+    return MessageTemplate(topic_info(topic), message_cdr(topic, values), fields)

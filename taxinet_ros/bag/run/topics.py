@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.core import topics
 
 SCENARIO = topics.SCENARIO.name
@@ -38,6 +39,11 @@ ONCE = frozenset(
 def is_topic(name: str, relative: str) -> bool:
     """Whether ``name`` is the topic ``relative`` in any namespace."""
     return name == relative or name.endswith('/' + relative)
+
+
+def topic_info(topic: topics.Topic) -> TopicInfo:
+    """A topic of ours with the installed definition of its type, for serialising and decoding."""
+    return describe_topic(name=topic.name, type_name=topic.type_name, qos='')
 
 
 def is_of_sensors(name: str) -> bool:

@@ -12,8 +12,8 @@ import struct
 
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.cdr.image import ENCAPSULATION, aligned, with_text
-from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
-from taxinet_ros.bag.topics import TopicInfo, describe_topic
+from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME, topic_info
+from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core import topics
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import WING
@@ -31,10 +31,7 @@ class OdometryTransforms:
         Raises:
             BagForeign: the topic has no usable definition.
         """
-        row = topics.ODOMETRY
-        self._decode = decoder(
-            odometry or describe_topic(name=row.name, type_name=row.type_name, qos='')
-        )
+        self._decode = decoder(odometry or topic_info(topics.ODOMETRY))
 
     def __call__(self, odometry: bytes) -> bytes:
         """Serialised ``TFMessage`` with the pose of odometry's child frame, with its stamp.

@@ -8,7 +8,7 @@ from typing import Any
 
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.message_values import stamp_of
-from taxinet_ros.bag.topics import describe_topic
+from taxinet_ros.bag.run.topics import topic_info
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.step_collector import StepCollector
 from taxinet_ros.core.scenario import Scenario
@@ -36,8 +36,7 @@ class Senses:
         self._schedule = Schedule(Scenario(), CONTROL_PERIOD_NS)
         self._steps = StepCollector({_STEP: 1})
         self._decode = {
-            topic.name: decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
-            for topic in SENSORS.values()
+            topic.name: decoder(topic_info(topic)) for topic in SENSORS.values()
         }
         for topic in interface.SENSORS.values():
             node.listen(topic, functools.partial(self._sense, topic.name), raw=True)

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 from rclpy.node import Node
 
 from taxinet_ros.bag.cdr.decode import decoder
+from taxinet_ros.bag.run.topics import topic_info
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
-from taxinet_ros.bag.topics import TopicInfo, describe_topic
+from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.types import TaxiCommand, TrackingError
@@ -106,7 +107,7 @@ def step_reader(topic: Topic) -> Callable[[Any], Any]:
     if not is_read_raw(topic):
         return lambda message: message
     # rclpy's message objects cost three times as much, a seventh of a run (benchmarks/RESULTS.md).
-    decode = decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
+    decode = decoder(topic_info(topic))
     read = _READ[topic.name]
     return lambda cdr: read(decode(cdr))
 
