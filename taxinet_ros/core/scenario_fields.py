@@ -594,12 +594,21 @@ def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
     found: dict[str, _Value] = {}
     names: dict[str, str] = {}
     for name, value in values.items():
-        key = _point_key(name) if _AT in name else SHORT_FORMS.get(name, name)
+        key = full_key(name)
         if key in names:
             one, other = sorted((name, names[key]), key=len)
             raise UsageError(f'scenario: {one} and {other} are the same; leave one out')
         found[key], names[key] = value, name
     return found
+
+
+def full_key(name: str) -> str:
+    """A key with its short form spelled out; a name that is no key stays as it is.
+
+    Raises:
+        UsageError: a control point that cannot be.
+    """
+    return _point_key(name) if _AT in name else SHORT_FORMS.get(name, name)
 
 
 def split_point(name: str) -> tuple[str, str]:

@@ -44,6 +44,7 @@ from taxinet_ros.core.scenario_fields import (
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
+    full_key,
     is_point,
     split_point,
 )
@@ -263,7 +264,7 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     Raises:
         UsageError: it is impossible.
     """
-    field = BY_KEY.get(next(iter(by_key({key: None}))))
+    field = BY_KEY.get(full_key(key))
     if not place and field is TRACK:
         field.checked(value)
         return

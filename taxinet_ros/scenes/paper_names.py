@@ -38,6 +38,7 @@ from taxinet_ros.core.scenario_fields import (
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
+    full_key,
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.values import placed_objects
@@ -169,7 +170,7 @@ def key_of(name: str, names: Collection[str]) -> str:
     if is_dataref(name):
         return DATAREFS.key
     found = paper_name(name, names)
-    return found.key if found else next(iter(by_key({name: None})))
+    return found.key if found else full_key(name)
 
 
 def our_value(name: str, value: Any, place: str, date: str, track: str) -> Any:

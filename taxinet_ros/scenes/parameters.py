@@ -25,6 +25,7 @@ from taxinet_ros.core.scenario_fields import (
     SKY,
     TRAFFIC,
     by_key,
+    full_key,
 )
 from taxinet_ros.core.traffic.traffic_file import typed_traffic
 from taxinet_ros.errors import UsageError
@@ -132,7 +133,7 @@ def rain_notes(params: Mapping[str, Parameter]) -> tuple[str, ...]:
 
 def _check_name(name: str) -> None:
     try:
-        key = next(iter(by_key({name: None})))
+        key = full_key(name)
     except UsageError as error:
         raise UsageError(f'param {str(error).removeprefix("scenario: ")}') from None
     if key in PLANE_KEYS:

@@ -31,7 +31,7 @@ from taxinet_ros.core.mtl.interval import (
     upper_column,
 )
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.scenario_fields import BY_KEY, by_key
+from taxinet_ros.core.scenario_fields import BY_KEY, full_key
 from taxinet_ros.core.trace import Column
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -333,7 +333,7 @@ def sweep_values(text: str) -> tuple[str, tuple[float, ...]]:
         UsageError: it has another form, the key is no number, or there are too many values.
     """
     name, _, span = text.partition('=')
-    key = next(iter(by_key({name: None})))
+    key = full_key(name)
     if key not in BY_KEY and not key.startswith(_GAIN):
         raise UsageError(f'--sweep {text}: unknown key {name!r}')
     parts = span.split(':')

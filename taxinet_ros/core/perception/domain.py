@@ -72,14 +72,15 @@ def domain_of_scenes(
     """
     seen: dict[str, set[Any]] = {key: set() for key in DOMAIN_KEYS}
     moments: set[tuple[Any, ...]] = set()
+    anywhere = PLACE.key in unnamed
     for scene in scenes:
         for key in DOMAIN_KEYS:
             value = scene.get(key)
             if isinstance(value, str | float) and value == value and value != '':
                 seen[key].add(value)
-        moments.add(tuple(scene.get(key) for key in (PLACE.key, DATE.key, TIME_OF_DAY.key)))
-    if PLACE.key in unnamed:
-        seen[SUN] = set(_elevations(moments))
+        if anywhere:
+            moments.add(tuple(scene.get(key) for key in (PLACE.key, DATE.key, TIME_OF_DAY.key)))
+    seen[SUN] = set(_elevations(moments))
     for key, (document, _, _, number) in _NUMBERS.items():
         if key == WIDTH or document in unnamed:
             seen[key] |= {number(one) for one in _documents(document, seen[document])}
