@@ -77,10 +77,8 @@ def test_given_a_node_that_raises_mid_run_then_the_run_names_it_and_why(
 ):
     options = GraphOptions(perception='truth', out=tmp_path)
     calls = {'n': 0}
-    kinds = {kind for kind, _ in options.nodes().values()}
-    owner = next(
-        base for kind in kinds for base in kind.__mro__ if method in vars(base)
-    )
+    kind, _ = options.nodes()[who]
+    owner = next(base for base in kind.__mro__ if method in vars(base))
     original = getattr(owner, method)
 
     def failing(self, *args):
