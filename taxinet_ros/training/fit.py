@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -52,6 +53,7 @@ class Recipe:
         augmented: whether every picture is augmented in each epoch.
         mirrored: whether half of the pictures are mirrored, with their errors, in each epoch; for
             pictures of an eye, which has no side.
+        device: where to compute, a word of torch's that is available.
     """
 
     epochs: int
@@ -61,6 +63,7 @@ class Recipe:
     patience: int = 0
     augmented: bool = False
     mirrored: bool = False
+    device: str = 'cpu'
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -89,8 +92,9 @@ def fit(
 ) -> Fitted:
     """Train a network with AdamW and a one-cycle learning rate schedule.
 
-    One thread and seeded generators make it deterministic: on one machine, the same arguments give
-    bit-identical weights. The number of threads is set for torch in the whole process.
+    One thread and seeded generators make it deterministic: on one machine and device, the same
+    arguments give bit-identical weights. The number of threads, and on a GPU the choice of
+    deterministic kernels, are set for torch in the whole process.
 
     Args:
         architecture: architecture of the network.
@@ -107,13 +111,17 @@ def fit(
         OSError: ``kept`` cannot be read or written.
     """
     torch.set_num_threads(1)
+    if recipe.device != 'cpu':
+        os.environ.setdefault('CUBLAS_WORKSPACE_CONFIG', ':4096:8')  # asked for by the next line
+        torch.use_deterministic_algorithms(True)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(recipe.seed)
         trainer = _Trainer(architecture, training, validation, recipe, start)
         history: list[Epoch] = []
         best = 0
         if kept is not None and kept.exists():
-            before = torch.load(kept, weights_only=True)  # plain values and tensors, no code
+            # Plain values and tensors, no code.
+            before = torch.load(kept, weights_only=True, map_location='cpu')
             history = [Epoch(**epoch) for epoch in before['history']]
             best, weights = before['best'], {k: v.numpy() for k, v in before['weights'].items()}
             trainer.restore(before['state'])
@@ -148,7 +156,7 @@ class _Trainer:
                 network, start, torch.from_numpy(normalise(training.pictures[some.astype(int)]))
             )
         # The annotations of Module.to omit the memory format.
-        self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._network = network.to(recipe.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._training = training
         self._targets = torch.from_numpy(scaled(training.cte_m, training.he_rad))
         self._validation = validation
@@ -218,7 +226,7 @@ class _Trainer:
             other = self._chance.random(len(rows)) < 0.5
             pictures = np.where(other[:, np.newaxis, np.newaxis], pictures[:, :, ::-1], pictures)
             targets = torch.where(torch.from_numpy(other)[:, None], -targets, targets)
-        loss = _loss(self._answers(pictures), targets)
+        loss = _loss(self._answers(pictures), targets.to(self._recipe.device))
         self._optimiser.zero_grad()
         loss.backward()
         self._rate = self._optimiser.param_groups[0]['lr']
@@ -228,7 +236,8 @@ class _Trainer:
 
     def _answers(self, pictures: NDArray[np.uint8]) -> torch.Tensor:
         seen = torch.from_numpy(normalise(pictures))
-        answers: torch.Tensor = self._network(seen.to(memory_format=torch.channels_last))
+        seen = seen.to(self._recipe.device, memory_format=torch.channels_last)
+        answers: torch.Tensor = self._network(seen)
         return answers
 
     def _measure(self) -> tuple[float, float, float]:
@@ -238,7 +247,7 @@ class _Trainer:
         self._network.eval()
         with torch.inference_mode():
             parts = [self._answers(pictures[s : s + _MEASURED_AT_ONCE]) for s in starts]
-            answers = torch.cat(parts)
+            answers = torch.cat(parts).cpu()
             truth = scaled(self._validation.cte_m, self._validation.he_rad)
             loss = _loss(answers, torch.from_numpy(truth)).item()
         cte_m, he_rad = np.abs(unscaled(answers.numpy()) - unscaled(truth)).mean(axis=0)

@@ -28,6 +28,8 @@ _LIMITS: dict[str, tuple[float, float]] = {
     'seed': (0, 2**63 - 1),
     'workers': (1, 256),
 }
+DEVICES = ('cpu', 'cuda')
+"""Where a network can be trained."""
 _WITHOUT_EFFECT = ('out', 'workers', 'overwrite', 'resume')
 """Options on which the weights do not depend."""
 _KEPT = ('.db', '.db-journal', '.pt')
@@ -69,6 +71,7 @@ class TrainOptions:
         learning_rate: maximum of the one-cycle schedule.
         patience: epochs without a better validation loss after which to stop; 0 means never.
         seed: seed of everything random.
+        device: where the network is trained, of :data:`DEVICES`; weights depend on it.
         workers: number of rendering processes or reading threads; results do not depend on it.
         overwrite: whether the files of an earlier training may be replaced.
         resume: whether to go on with an interrupted training.
@@ -98,6 +101,7 @@ class TrainOptions:
     learning_rate: float = 3e-3
     patience: int = 0
     seed: int = 1
+    device: str = 'cpu'
     workers: int = 2
     overwrite: bool = False
     resume: bool = False
@@ -132,7 +136,9 @@ class TrainOptions:
         return self.architecture or DEFAULT_ARCHITECTURE
 
     def _check_words(self) -> None:
-        for name, known in (('view', VIEWS), ('architecture', ARCHITECTURES)):
+        for name, known in (
+            ('view', VIEWS), ('architecture', ARCHITECTURES), ('device', DEVICES)
+        ):
             given = getattr(self, name)
             if given is not None and given not in known:
                 raise UsageError(
@@ -177,6 +183,7 @@ class TrainOptions:
         words += ['--varied'] * self.varied + ['--augment'] * self.augment
         for name in self._numbers():
             words += [f'--{name.replace("_", "-")}', f'{getattr(self, name)}']
+        words += [] if self.device == 'cpu' else ['--device', self.device]
         return shlex.join([*words, '--out', self.out.name])
 
     @property

@@ -58,8 +58,8 @@ def fold_batch_norm(network: nn.Sequential) -> dict[str, NDArray[np.float32]]:
             norm = layers.get(_norm_of(name))
             if isinstance(norm, nn.BatchNorm2d):
                 weight, bias = _folded_layer(weight, bias, norm)
-            weights[f'{name}.weight'] = np.array(weight.contiguous().numpy())
-            weights[f'{name}.bias'] = np.array(bias.numpy())
+            weights[f'{name}.weight'] = np.array(weight.contiguous().cpu().numpy())
+            weights[f'{name}.bias'] = np.array(bias.cpu().numpy())
     return weights
 
 

@@ -227,6 +227,16 @@ def _check_batch(options: TrainOptions, images: int) -> None:
         raise UsageError(f'train: a batch of {options.batch} is more than {images} images')
 
 
+def _check_device(device: str) -> None:
+    if device != 'cpu':
+        import torch
+
+        if not torch.cuda.is_available():
+            raise UsageError(
+                f'train: --device {device}: torch finds no GPU here; leave it out to use the CPU'
+            )
+
+
 def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     """Get labelled pictures, train and evaluate a network, and write weights, card and curves.
 
@@ -249,6 +259,7 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
         InfraError: a worker process died, or the simulator failed.
     """
     options.check_out()
+    _check_device(options.device)
     named_places(options.places)
     start = None if options.start is None else load_model(weights_path(options.start))
     if start is not None:
@@ -336,7 +347,7 @@ def _fit(
     recipe = Recipe(
         epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate,
         seed=options.seed, patience=options.patience, augmented=options.augment,
-        mirrored=options.augment and options.view is not None,
+        mirrored=options.augment and options.view is not None, device=options.device,
     )
     architecture = ARCHITECTURES[options.architecture_name]
     return fit(

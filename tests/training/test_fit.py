@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 from training_samples import bright_columns
 
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
@@ -40,6 +41,15 @@ def test_given_the_same_recipe_when_fitted_twice_then_the_weights_are_the_same_b
         assert again.history == first.history
     others = fitted(seed=2, epochs=2), fitted(seed=2, augmented=True, epochs=2), augmented[0]
     assert len({to_bytes(one.weights) for one in (plain[0], *others)}) == 4
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason='no GPU on this machine')
+def test_given_a_gpu_when_fitted_twice_then_the_same_bytes_and_near_those_of_the_cpu() -> None:
+    first, again = (fitted(device='cuda', augmented=True) for _ in range(2))
+    assert to_bytes(again.weights) == to_bytes(first.weights)
+    on_cpu = fitted(augmented=True)
+    losses = [one.history[-1].validation_loss for one in (first, on_cpu)]
+    assert losses[0] == pytest.approx(losses[1], rel=0.3)
 
 
 def test_given_pictures_of_an_eye_when_mirrored_then_one_side_teaches_the_other() -> None:

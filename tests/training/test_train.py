@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from training_samples import foreign_folder
 
 from taxinet_ros.core.perception.domain import domain_of_scenes, joined_domains
@@ -262,6 +263,17 @@ def test_given_an_unknown_program_when_trained_then_refused_and_nothing_is_writt
     with pytest.raises(UsageError, match='known: '):
         train(options(tmp_path / 'net.safetensors', program='nominall'))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_given_no_gpu_when_trained_on_one_then_refused_before_any_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, 'is_available', lambda: False)
+    with pytest.raises(UsageError, match='--device cuda: torch finds no GPU here'):
+        train(options(tmp_path / 'net.safetensors', device='cuda'))
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(UsageError, match="device 'gpu' is unknown; known: cpu, cuda"):
+        options(tmp_path / 'net.safetensors', device='gpu')
 
 
 @pytest.mark.parametrize(

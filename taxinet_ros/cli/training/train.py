@@ -101,6 +101,9 @@ def train(
         ),
     ] = 0,
     seed: Annotated[int, typer.Option(help='random seed')] = 1,
+    device: Annotated[
+        str, typer.Option(help='cpu, or cuda: train on the GPU; other weights')
+    ] = 'cpu',
     workers: Annotated[int, typer.Option(help='rendering processes')] = 2,
     overwrite: Annotated[bool, typer.Option('--overwrite', help='overwrite existing '
     'output')] = False,
@@ -132,8 +135,8 @@ def train(
         ),
         add_data=tuple(Path(text) for text in add or () if Path(text).is_dir()),
         images=images, validation=validation, varied=varied, augment=augment, epochs=epochs,
-        batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, workers=workers,
-        overwrite=overwrite, resume=resume,
+        batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, device=device,
+        workers=workers, overwrite=overwrite, resume=resume,
     ))
 
 
