@@ -1,7 +1,8 @@
 """Print the results of a campaign by place, worst first, and by light, runway width and category.
 
-``python place_table.py CAMPAIGN``: a folder of ``taxinet run`` or ``falsify`` whose program draws
-its place, such as ``places_test.scenic`` here.
+``python place_table.py CAMPAIGN [FILMS]``: a folder of ``taxinet run`` or ``falsify`` whose program
+draws its place, such as ``places_test.scenic`` here. With a folder FILMS, the run with the lowest
+robustness of each place that fails there, by day, becomes a film in it.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from __future__ import annotations
 import math
 import random
 import statistics
+import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -50,8 +53,16 @@ def print_row(title: str, rows: Any) -> None:
     print('|', ' | '.join(map(str, cells)), '|')
 
 
-def print_tables(folder: Path) -> None:
-    """Print the table of a campaign."""
+def film(run: Path, out: Path) -> None:
+    """Make a film of a run that was recorded without frames."""
+    with tempfile.TemporaryDirectory() as folder:
+        seen = Path(folder, 'seen')
+        for words in (['render', run, '--out', seen], ['export', seen, '--out', out]):
+            subprocess.run(['taxinet', 'bag', *map(str, words)], check=True, capture_output=True)
+
+
+def print_tables(folder: Path, films: Path | None) -> None:
+    """Print the tables of a campaign."""
     campaign = tx.open_campaign(folder)
     rows = campaign.rows[campaign.rows.outcome.isin(['PASS', 'FAIL'])].copy()
     scenes = {row.index: campaign.recorded.scenario(row)[0] for row in campaign.recorded.rows}
@@ -73,6 +84,12 @@ def print_tables(folder: Path) -> None:
     for name in passed.sort_values(kind='stable').index:
         print_row(name, rows[rows.runway == name])
     print(f'mean of {len(passed)} places: {percent(over_places(list(passed)))}')
+    if films is None:
+        return
+    films.mkdir(parents=True, exist_ok=True)
+    failed = rows[(rows.outcome == 'FAIL') & (rows.light == 'day')].sort_values('rho')
+    for _, row in failed.groupby('runway', sort=False).head(1).iterrows():
+        film(folder / row.run_id, films / f'{row.run_id}.mp4')
 
 
-print_tables(Path(sys.argv[1]))
+print_tables(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else None)
