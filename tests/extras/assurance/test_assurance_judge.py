@@ -37,7 +37,7 @@ from taxinet_ros.extras.assurance.judge import (
     summarize,
     trade_of,
 )
-from taxinet_ros.extras.assurance.show import TEXT, run_judge
+from taxinet_ros.extras.assurance.commands import TEXT, run_judge
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.recordings.score import ScoreOptions, score
 from taxinet_ros.recordings.truth import TruthSource
