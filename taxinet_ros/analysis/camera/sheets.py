@@ -45,13 +45,9 @@ def contact_sheet(
         columns: number of pictures in a row.
         path: PNG file to write.
         title: title line.
-
-    Raises:
-        ValueError: there are no tiles or columns, or a picture is not (H, W, 3) uint8.
     """
-    if not tiles or columns < 1:
-        raise ValueError(f'{len(tiles)} tiles in {columns} columns make no sheet')
-    height, width = _largest(tiles)
+    images = [image for image, _ in tiles]
+    height, width = _largest(images)
     px = max(width // _FONT_SHARE, 10)
     captions = [
         '\n'.join(chain.from_iterable(
@@ -59,7 +55,6 @@ def contact_sheet(
         )) for _, text in tiles
     ]
     below_px = round(1.3 * px) * max(caption.count('\n') + 1 for caption in captions) + _GAP_PX
-    images = [image for image, _ in tiles]
     rows = [images[first:first + columns] for first in range(0, len(images), columns)]
     figure, corners = _sheet(rows, (height, width), title, round(1.4 * px), below_px=below_px)
     for (left, top), caption in zip(chain.from_iterable(corners), captions, strict=True):
@@ -80,16 +75,8 @@ def grid_sheet(
         columns: column headings.
         path: PNG file to write.
         title: title line.
-
-    Raises:
-        ValueError: there are no tiles, headings do not match them, or a picture has another shape.
     """
-    if not rows or not columns or [len(row) for row in tiles] != [len(columns)] * len(rows):
-        raise ValueError(f'{len(rows)} rows and {len(columns)} columns of headings fit no tiles')
-    height, width = _largest([
-        (image, f'{row}, {column}') for row, images in zip(rows, tiles, strict=True)
-        for column, image in zip(columns, images, strict=True)
-    ])
+    height, width = _largest([image for row in tiles for image in row])
     # A sheet is viewed as a whole, so its headings scale with it, not with its pictures.
     px = max(width // _FONT_SHARE, 10, len(columns) * width // _HEADING_SHARE)
     longest = max(len(line) for row in rows for line in row.split('\n'))
@@ -106,12 +93,9 @@ def grid_sheet(
     figure.savefig(path, format='png', metadata={'Software': None})
 
 
-def _largest(tiles: Sequence[tuple[Picture, str]]) -> tuple[int, int]:
-    """Height and width of a cell, after a check of the pictures."""
-    for image, caption in tiles:
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-            raise ValueError(f'tile {caption!r}: {image.shape} {image.dtype}, not (H, W, 3) uint8')
-    return max(i.shape[0] for i, _ in tiles), max(i.shape[1] for i, _ in tiles)
+def _largest(images: Sequence[Picture]) -> tuple[int, int]:
+    """Height and width of a cell."""
+    return max(one.shape[0] for one in images), max(one.shape[1] for one in images)
 
 
 def _sheet(

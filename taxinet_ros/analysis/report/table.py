@@ -41,13 +41,14 @@ def view_table(table: Table, viewers: Collection[str]) -> dict[str, Any]:
     Raises:
         ValueError: a row and the columns differ in length, or there is no ``run_id_column``.
     """
-    rows = [_values(table, row) for row in table.rows]
+    rows = [
+        [_plain(cell, column) for cell, column in zip(row, table.columns, strict=True)]
+        for row in table.rows
+    ]
     kept = [place for place, column in enumerate(table.columns) if column.on_page]
     rows = [[row[place] for place in kept] for row in rows]
     table = replace(table, columns=tuple(table.columns[place] for place in kept))
     names = [column.name for column in table.columns]
-    if table.run_id_column is not None and table.run_id_column not in names:
-        raise ValueError(f'table {table.name}: no column {table.run_id_column!r} for run ids')
     run_column = names.index(table.run_id_column) if table.run_id_column is not None else -1
     numeric = [_is_numeric([row[place] for row in rows]) for place in range(len(names))]
     shown = tuple(
@@ -77,12 +78,6 @@ def view_table(table: Table, viewers: Collection[str]) -> dict[str, Any]:
 def run_link(run_id: str) -> str:
     """Address of a run's viewer within the page."""
     return f'#run={quote(clean(run_id), safe="")}'
-
-
-def _values(table: Table, row: tuple[Cell, ...]) -> list[Cell]:
-    if len(row) != len(table.columns):
-        raise ValueError(f'table {table.name}: {len(row)} cells for {len(table.columns)} columns')
-    return [_plain(cell, column) for cell, column in zip(row, table.columns, strict=True)]
 
 
 def _plain(cell: Cell, column: Column) -> Cell:
