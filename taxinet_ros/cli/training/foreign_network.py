@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -123,7 +122,7 @@ def see(
     out: PictureOption = None,
 ) -> None:
     """Draw what an ONNX network gets to see of a scene's first frame, and print its answer."""
-    from taxinet_ros.analysis.camera.network_view import draw_network_view, network_view
+    from taxinet_ros.analysis.camera.network_view import draw_network_view
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
     from taxinet_ros.core.perception.domain import domain_words
     from taxinet_ros.core.perception.onnx.trial import tried_network
@@ -134,14 +133,5 @@ def see(
     scene = scenario_from_human(read_settings(settings or ()))
     loaded, _ = tried_network(network)
     path = new_picture(out, f'network-{network.stem}')
-    found = network_view(loaded, scene)
-    truth = _words(scene.cross_track_m, scene.heading_rad)
-    answer = _words(found.cte_m, found.he_rad)
-    title = f'truth: {truth}; {network.name}: {answer}'
-    write_picture(path, lambda: draw_network_view(found, title, path))
-    domain = domain_words(find_domain(str(network)))
-    print(f'truth {truth}\nanswer {answer}\ndomain {domain}\npicture: {path}')
-
-
-def _words(cte_m: float, he_rad: float) -> str:
-    return f'CTE {cte_m:+.2f} m, HE {math.degrees(he_rad):+.1f} deg'
+    answer = write_picture(path, lambda: draw_network_view(loaded, network.name, scene, path))
+    print(f'{answer}\ndomain {domain_words(find_domain(str(network)))}\npicture: {path}')

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT
 
 SUFFIX = '.png'
+_T = TypeVar('_T')
 
 
 def new_picture(out: Path | None, stem: str) -> Path:
@@ -37,8 +39,8 @@ def _next_free(wanted: Path) -> Path:
     return candidate
 
 
-def write_picture(path: Path, save: Callable[[], object]) -> None:
-    """Call ``save``, which writes ``path``; the default folder is made first.
+def write_picture(path: Path, save: Callable[[], _T]) -> _T:
+    """What ``save`` gives, which writes ``path``; the default folder is made first.
 
     Raises:
         UsageError: the file cannot be written.
@@ -46,7 +48,7 @@ def write_picture(path: Path, save: Callable[[], object]) -> None:
     try:
         if path.parent == DEFAULT_ROOT:
             path.parent.mkdir(exist_ok=True)
-        save()
+        return save()
     except OSError as error:
         raise UsageError(f'{path}: cannot be written: {error.strerror or error}') from error
 

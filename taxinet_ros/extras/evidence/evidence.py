@@ -13,9 +13,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -75,14 +75,8 @@ def parse_claim(text: str) -> float:
     return value / 100 if percent else value
 
 
-@dataclass(frozen=True, kw_only=True)
-class Collected:
-    """Evidence, ready to be written.
-
-    Attributes:
-        content: everything, as JSON values.
-        inputs: the campaigns by their ids.
-    """
+class Collected(NamedTuple):
+    """Evidence, ready to be written: all as JSON values, and the campaigns by their ids."""
 
     content: dict[str, Any]
     inputs: Mapping[str, CampaignInput]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -186,11 +185,8 @@ def show_forecast(
             raise UsageError(f'{bag}: has no control step with a robustness yet')
         values.append(_run_json(recording, bounds, confidence, outside))
         final = _final(known, recording)
-        shown.append(ShownRun(
-            title=f'{recording.run_id}: {_ending(final)}'
-                  + (f' ({NO_GUARANTEE})' if outside else ''),
-            bounds=bounds, final=final,
-        ))
+        title = f'{recording.run_id}: {_ending(final)}' + (f' ({NO_GUARANTEE})' if outside else '')
+        shown.append((title, bounds, final))
     if plot is not None:
         picture = forecast_picture(shown, confidence=confidence, spec=known.spec)
         write_atomically(plot, png_bytes(picture, LIGHT))
@@ -256,19 +252,8 @@ def _run_json(
 # Picture ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShownRun:
-    """One run.
-
-    Attributes:
-        title: above its panel.
-        bounds: bounds at each control step.
-        final: final robustness; None if the run has not ended.
-    """
-
-    title: str
-    bounds: Sequence[Bound]
-    final: float | None
+ShownRun = tuple[str, Sequence[Bound], float | None]
+"""Title, bounds at each control step, and final robustness; None if the run has not ended."""
 
 
 def forecast_picture(runs: Sequence[ShownRun], *, confidence: float, spec: str) -> Picture:
@@ -293,21 +278,22 @@ def forecast_picture(runs: Sequence[ShownRun], *, confidence: float, spec: str) 
 
 
 def _draw(axes: Axes, theme: Theme, run: ShownRun, percent: str) -> None:
-    t_s = [bound.t_s for bound in run.bounds]
+    title, bounds, final = run
+    t_s = [bound.t_s for bound in bounds]
     low, high = (
-        np.clip([getattr(bound, name) for bound in run.bounds], 10 * _LOW, 10 * _HIGH)
+        np.clip([getattr(bound, name) for bound in bounds], 10 * _LOW, 10 * _HIGH)
         for name in ('lower', 'certain_upper')
     )
     colour = (
-        theme.others[0] if run.final is None else theme.failed if run.final <= 0 else theme.passed
+        theme.others[0] if final is None else theme.failed if final <= 0 else theme.passed
     )
     axes.fill_between(t_s, low, high, color=colour, alpha=0.25, linewidth=0, step='post')
     axes.step(t_s, low, where='post', color=colour, linewidth=1.8,
               label=f'lower bound, {percent} for the whole run')
     axes.step(t_s, high, where='post', color=theme.ink, linewidth=0.9, alpha=0.6,
               label='monitor: cannot end above')
-    if run.final is not None and math.isfinite(run.final):
-        axes.axhline(run.final, color=theme.ink, linestyle=':', linewidth=1.3,
+    if final is not None and math.isfinite(final):
+        axes.axhline(final, color=theme.ink, linestyle=':', linewidth=1.3,
                      label='how it ended')
     axes.axhline(0.0, color=theme.ink, linewidth=0.8)
     # Failures may be a hundred times deeper than passes are high.
@@ -316,4 +302,4 @@ def _draw(axes: Axes, theme: Theme, run: ShownRun, percent: str) -> None:
     axes.set_yticks([], minor=True)
     axes.set_ylim(_LOW, _HIGH)
     axes.margins(x=0.01)
-    axes.set_title(run.title, fontsize=10)
+    axes.set_title(title, fontsize=10)
