@@ -236,7 +236,6 @@ def replay_lines(
 
 
 def _cells(one: Difference, allowed: Mapping[str, float]) -> tuple[str, ...]:
-
     unit = f' {one.quantity.unit}' if one.quantity.unit else ''
     most = allowed.get(one.quantity.column, 0.0)
     first = '-' if one.first_seq is None else (

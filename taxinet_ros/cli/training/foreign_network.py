@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.cli.completion import complete_program, one_of
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import PictureOption, ScenarioOption
@@ -51,16 +52,12 @@ def from_nnet(
 
     if out.suffix != ONNX_SUFFIX:
         raise UsageError(f'--out {out}: networks are {ONNX_SUFFIX} files; use {out.stem}.onnx')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: {out.parent} is not a folder')
+    check_new_file(out)
     content, source = description_of(description)
     beside = sidecar_path(out)
-    own = beside.exists() and source.exists() and beside.samefile(source)
-    if not own:
+    if not (beside.exists() and source.exists() and beside.samefile(source)):
         check_output(f'--out {out}: {beside}', beside, own=[beside.suffix])
-    for path in (out, *(() if own else (beside,))):
-        if path.exists() or path.is_symlink():
-            raise UsageError(f'--out {out}: {path} already exists; choose a new name')
+        check_new_file(beside)
     found = converted(file, read_nnet(file), out, content, source)
     nnet = found.nnet
     hidden = ', '.join(map(str, nnet.sizes[1:-1])) or 'no'

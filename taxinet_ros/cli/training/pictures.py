@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT
 
@@ -23,10 +24,7 @@ def new_picture(out: Path | None, stem: str) -> Path:
         return _next_free(DEFAULT_ROOT / f'{stem}{SUFFIX}')
     if out.suffix.lower() != SUFFIX:
         raise UsageError(f'--out {out}: pictures are PNG files; use {out.stem}{SUFFIX}')
-    if out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: already exists and is not overwritten; choose a new name')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: no such folder: {out.parent}; make it first')
+    check_new_file(out)
     return out
 
 

@@ -17,6 +17,7 @@ from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import CampaignArgument, JsonOption, RunOption
 from taxinet_ros.cli.progress import stage_bars
@@ -73,10 +74,7 @@ def calibrate_forecast(
     Takes the runs that the program itself drew, with their bags; frames are not needed. Every other
     run trains the forecast, the others calibrate it.
     """
-    if out.exists():
-        raise UsageError(f'--out {out}: already exists; name a new file')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: no such folder: {out.parent}')
+    check_new_file(out)
     recorded = open_campaign(campaign)
     with stage_bars(Console(stderr=True)) as bars:
         found = calibrate(
