@@ -60,6 +60,19 @@ def outputs(command: Any, params: dict[str, Any]) -> Iterator[tuple[Any, Path]]:
             yield param, path
 
 
+def check_new_file(path: Path, option: str = '--out') -> None:
+    """Check that a file that an option names to be written is new, and that its folder exists.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if path.exists() or path.is_symlink():
+        raise UsageError(
+            f'{option} {path}: already exists and is not overwritten; choose a new name')
+    if not path.parent.is_dir():
+        raise UsageError(f'{option} {path}: no such folder: {path.parent}; make it first')
+
+
 def tell_doubts(lines: Iterable[str]) -> None:
     """Print warnings, one line each, on standard error."""
     for line in lines:

@@ -1,4 +1,4 @@
-"""All commands: their names in sections, where they are, and what ``taxinet --help`` says of each.
+"""All commands: their names in sections, and where they are.
 
 Only the module of the command that is called is imported. Commands of :mod:`taxinet_ros.registry`,
 of shipped extras and of other packages, are called in the same way.
@@ -7,167 +7,86 @@ of shipped extras and of other packages, are called in the same way.
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
+import taxinet_ros
 from taxinet_ros.cli.checked import check_commands
 from taxinet_ros.cli.help import add_examples
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import COMMANDS, SHIPPED, Extension, find, installed
 
-SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+SECTIONS: Mapping[str, Mapping[str, str]] = {
     'Run scenes': {
-        'demo': ('run.demo:demo', 'Run ten scenes with both networks and with ground truth.'),
-        'run': ('run.run:run', "Run a Scenic program's scenes through the graph."),
-        'up': (
-            'run.up:up',
-            'Start every node except the sampler in its own process and keep them running.',
-        ),
-        'node': ('run.node:node', 'Start one node, as `ros2 run taxinet_ros NAME` does.'),
-        'check-node': (
-            'run.check_node:check_node', 'Test your own node against the lockstep protocol.',
-        ),
+        'demo': 'run.demo:demo',
+        'run': 'run.run:run',
+        'up': 'run.up:up',
+        'node': 'run.node:node',
+        'check-node': 'run.check_node:check_node',
     },
     'Search for failures': {
-        'falsify': ('run.falsify:falsify', 'Search a Scenic program for violating scenes.'),
-        'estimate': (
-            'run.estimate:estimate',
-            'Estimate the probability of rare failures, down to one in a hundred thousand.',
-        ),
+        'falsify': 'run.falsify:falsify',
+        'estimate': 'run.estimate:estimate',
     },
     'Find the causes': {
-        'why': ('study.why:why', 'Find out why a campaign or a run failed, and what to do.'),
-        'analyze': (
-            'analysis.analyze:analyze',
-            "Find the causes of a campaign's failures, and write a report.",
-        ),
-        'localize': (
-            'analysis.localize:localize', 'Find which part causes failures: network or controller.',
-        ),
-        'explain': ('analysis.explain:explain', 'Explain why the network failed in one run.'),
-        'shrink': (
-            'run.shrink:shrink', 'Shrink a failed run to the nearest scenario that still fails.',
-        ),
-        'fork': (
-            'analysis.fork:fork',
-            'Repeat a recorded run up to a moment, and go on in a changed world.',
-        ),
-        'experiment': (
-            'run.experiment:experiment',
-            'Confirm a cause by running the same scenes with and without it.',
-        ),
+        'why': 'study.why:why',
+        'analyze': 'analysis.analyze:analyze',
+        'localize': 'analysis.localize:localize',
+        'explain': 'analysis.explain:explain',
+        'shrink': 'run.shrink:shrink',
+        'fork': 'analysis.fork:fork',
+        'experiment': 'run.experiment:experiment',
     },
     'Judge': {
-        'check': (
-            'analysis.check:check',
-            'Drive networks through 50 fixed scenes, as a quick check before a commit.',
-        ),
-        'plan': (
-            'analysis.plan:plan',
-            'Plan how many runs a claim takes, from the start or after those there are.',
-        ),
-        'gate': ('analysis.gate:gate', 'Check a campaign against acceptance thresholds.'),
-        'odd': (
-            'analysis.odd:odd_app',
-            'Operational design domains (ODD), and what campaigns cover of one.',
-        ),
-        'forecast': ('', 'Lower bounds on the final robustness of runs in progress.'),
-        'compare': (
-            'analysis.compare:compare',
-            'Compare two networks on the same scenes: what got better, what got worse, and why.',
-        ),
-        'bisect': (
-            'analysis.bisect:bisect',
-            'Find which of several networks in order broke which scenes.',
-        ),
-        'monitor': (
-            'analysis.monitor:monitor',
-            'Judge recorded runs by their own requirements or by new ones.',
-        ),
-        'assure': (
-            '', 'Calibrate run-time monitors, and judge them in the loop (run them: --monitor).',
-        ),
-        'live-monitor': ('', 'Evaluate formulas on topics of any robot as messages arrive.'),
-        'evidence': ('', 'Write evidence toward a requirement, all by hash, and verify it.'),
-        'spec': (
-            'analysis.spec:spec',
-            'Show how requirements are parsed, and warn of likely mistakes.',
-        ),
-        'mine': (
-            'analysis.mine:mine',
-            'Find the tightest parameters with which a formula holds for a share of the runs.',
-        ),
-        'evaluate': ('training.evaluate:evaluate', "Measure a network's errors on single frames."),
-        'score': (
-            'analysis.score:score',
-            'Score networks on recordings: errors against where the aircraft really was.',
-        ),
+        'check': 'analysis.check:check',
+        'plan': 'analysis.plan:plan',
+        'gate': 'analysis.gate:gate',
+        'odd': 'analysis.odd:odd_app',
+        'forecast': '',
+        'compare': 'analysis.compare:compare',
+        'bisect': 'analysis.bisect:bisect',
+        'monitor': 'analysis.monitor:monitor',
+        'assure': '',
+        'live-monitor': '',
+        'evidence': '',
+        'spec': 'analysis.spec:spec',
+        'mine': 'analysis.mine:mine',
+        'evaluate': 'training.evaluate:evaluate',
+        'score': 'analysis.score:score',
     },
     'Train': {
-        'dataset': ('training.dataset:dataset', 'Render labelled training images of scenes.'),
-        'train': (
-            'training.train:train', 'Train TaxiNet on rendered scenes or labelled images.',
-        ),
-        'network': (
-            'training.foreign_network:network_app',
-            'Networks of others: convert them, and see what they see.',
-        ),
-        'improve': (
-            'study.improve:improve',
-            'Improve a network in rounds: falsify, cluster failures, retrain, evaluate, keep if '
-            'better.',
-        ),
-        'tune': (
-            '',
-            'Tune the steering law: search gains that maximise the worst-case robustness over '
-            'scenes.',
-        ),
-        'case-study': (
-            'study.case_study:case_study',
-            "Run the paper's case study: falsify, debug, retrain, learn, report.",
-        ),
+        'dataset': 'training.dataset:dataset',
+        'train': 'training.train:train',
+        'network': 'training.foreign_network:network_app',
+        'improve': 'study.improve:improve',
+        'tune': '',
+        'case-study': 'study.case_study:case_study',
     },
     'Worlds and cameras': {
-        'camera': (
-            'training.camera:camera_app',
-            'Describe cameras, and render their frames.',
-        ),
-        'place': ('run.place:place', 'Describe a place, and draw it from above, or list all.'),
-        'aircraft': (
-            'training.aircraft:aircraft',
-            'Load an aircraft, measure it, say what is wrong, and draw it, or list all.',
-        ),
-        'flightgear': ('', 'FlightGear as a camera: start it, and see whether it works.'),
-        'xplane': ('', 'X-Plane as camera and as world.'),
+        'camera': 'training.camera:camera_app',
+        'place': 'run.place:place',
+        'aircraft': 'training.aircraft:aircraft',
+        'flightgear': '',
+        'xplane': '',
     },
     'Recordings and tools': {
-        'bag': ('bag.commands:bag_app', 'Inspect, check, repair and export bags.'),
-        'doctor': (
-            'doctor:doctor', 'Check this machine, or every file in a results folder.',
-        ),
-        'setup-messages': (
-            'messages:setup_messages',
-            'Build the ROS 2 messages into this virtual environment, once after pip install.',
-        ),
-        'plugins': (
-            'run.plugins:plugins',
-            'List perceptions, controllers, samplers, worlds, commands and more by name.',
-        ),
-        'bench': (
-            'bench.commands:bench',
-            'Benchmark camera, closed loop and graph on one core.',
-        ),
+        'bag': 'bag.commands:bag_app',
+        'doctor': 'doctor:doctor',
+        'setup-messages': 'messages:setup_messages',
+        'plugins': 'run.plugins:plugins',
+        'bench': 'bench.commands:bench',
     },
 }
 """Sections in the order of the workflow, and their commands by name: the module below
-``taxinet_ros.cli`` and the attribute ('' for a shipped extra, which the registry knows), and the
-line of the list, which is the first sentence of the command's own text."""
+``taxinet_ros.cli`` and the attribute; '' for a shipped extra, which the registry knows."""
 
-OWN = {name: listed for section in SECTIONS.values() for name, listed in section.items()}
+OWN = {name: target for section in SECTIONS.values() for name, target in section.items()}
 """Commands of this package by name. No other package can have the name of one."""
 
 _PASSED_ON = {'ignore_unknown_options': True, 'allow_extra_args': True}
@@ -181,12 +100,28 @@ def added() -> list[Extension]:
     return [one for one in installed(COMMANDS) if not one.shipped and one.name not in OWN]
 
 
+def _place(name: str) -> tuple[str, str]:
+    """Module of a command of this package, and the attribute there."""
+    where = f'taxinet_ros.cli.{OWN[name]}' if OWN[name] else SHIPPED[COMMANDS][name]
+    module, _, attribute = where.partition(':')
+    return module, attribute
+
+
 def command_function(name: str) -> Any:
     """The function of a command of this package, or its group; its module is imported now."""
-    target = OWN[name][0]
-    where = f'taxinet_ros.cli.{target}' if target else SHIPPED[COMMANDS][name]
-    module, _, attribute = where.partition(':')
+    module, attribute = _place(name)
     return getattr(importlib.import_module(module), attribute)
+
+
+def first_sentence(name: str) -> str:
+    """The first sentence of a command's own text, out of its module, which is not imported."""
+    module, attribute = _place(name)
+    source = Path(taxinet_ros.__path__[0], *module.split('.')[1:]).with_suffix('.py').read_text()
+    found = re.search(
+        rf'^def {attribute}\(.*?\n    """(.+?)(?:"""|\n)'
+        rf"|^{attribute} = command_group\(\s*'([^']*?\.)[ ']", source, re.MULTILINE | re.DOTALL,
+    )
+    return (found[1] or found[2]) if found else ''
 
 
 def load_command(name: str) -> Any:
@@ -298,7 +233,7 @@ class Commands(TyperGroup):
 def _lines() -> dict[str, dict[str, str]]:
     """Names with their lines, by section."""
     lines = {
-        title: {name: line for name, (_, line) in section.items()}
+        title: {name: first_sentence(name) for name in section}
         for title, section in SECTIONS.items()
     }
     others = {one.name: f'Command of {one.distribution} {one.version}.' for one in added()}

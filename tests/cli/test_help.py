@@ -8,7 +8,7 @@ import pytest
 import typer
 
 from taxinet_ros.cli import progress
-from taxinet_ros.cli.commands import OWN, SECTIONS
+from taxinet_ros.cli.commands import OWN, SECTIONS, first_sentence
 from taxinet_ros.cli.help import EXAMPLES
 from taxinet_ros.cli.main import app
 from taxinet_ros.cli.progress import stage_bars
@@ -31,14 +31,14 @@ def commands(group=ROOT, above=''):
 
 def test_given_the_commands_then_each_is_in_one_section_and_has_an_example():
     assert len(OWN) == sum(map(len, SECTIONS.values())) >= 40
-    assert {name for name, (target, _) in OWN.items() if not target} == set(SHIPPED[COMMANDS])
+    assert {name for name, target in OWN.items() if not target} == set(SHIPPED[COMMANDS])
     assert sorted(EXAMPLES) == sorted(commands())
     assert all(EXAMPLES.values())
 
 
 @pytest.mark.parametrize('name', OWN)
 def test_given_a_command_then_its_line_in_the_list_is_the_first_sentence_of_its_own_text(name):
-    assert ROOT.commands[name].get_short_help_str(300) == OWN[name][1]
+    assert ROOT.commands[name].get_short_help_str(300) == first_sentence(name)
 
 
 def test_given_the_help_when_printed_then_no_command_is_imported():

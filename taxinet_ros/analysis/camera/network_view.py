@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from pathlib import Path
 
-import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
 from taxinet_ros.analysis.camera.sheets import scene_picture
 from taxinet_ros.core.perception.eye import find_eye
@@ -17,58 +15,48 @@ from taxinet_ros.core.perception.onnx.network import OnnxNetwork, prepare
 from taxinet_ros.core.scenario import Scenario
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class NetworkView:
-    """A scene's first frame before an ONNX network.
+def draw_network_view(network: OnnxNetwork, name: str, scene: Scenario, path: Path) -> str:
+    """Draw the first frame of a scene, with what a network uses of it, and beside it its input.
 
-    Attributes:
-        frame: camera frame, (200, 360, 3) uint8 RGB.
-        crop: left, top, right and bottom of what is used of it [pixels].
-        picture: the network's input, (height, width, channels), in its own numbers.
-        cte_m, he_rad: its answer, left positive.
+    Args:
+        network: the network.
+        name: of its file.
+        scene: the scene.
+        path: PNG file to write.
+
+    Returns:
+        Truth and answer, a line each.
     """
-
-    frame: NDArray[np.uint8]
-    crop: tuple[int, int, int, int]
-    picture: NDArray[np.float32]
-    cte_m: float
-    he_rad: float
-
-
-def network_view(network: OnnxNetwork, scene: Scenario) -> NetworkView:
-    """Show the first frame of a scene to a network."""
-    sidecar, picture = network.sidecar, scene_picture(scene)
-    frame = seen = usual_frame(picture)
-    if sidecar.picture.view is not None:
-        seen = find_eye(sidecar.picture.view, scene.rig).see(picture)
+    sidecar, seen = network.sidecar, scene_picture(scene)
+    frame = usual_frame(seen)
+    seen = frame if sidecar.picture.view is None else find_eye(
+        sidecar.picture.view, scene.rig).see(seen)
     picture = prepare(seen, sidecar)[0]
     if sidecar.picture.layout == 'nchw':
         picture = picture.transpose(1, 2, 0)
-    shape = (sidecar.picture.height, sidecar.picture.width, -1)
-    cte_m, he_rad = network.look(seen)
-    return NetworkView(
-        frame=frame, crop=sidecar.picture.crop, picture=picture.reshape(shape), cte_m=cte_m,
-        he_rad=he_rad,
-    )
-
-
-def draw_network_view(found: NetworkView, title: str, path: Path) -> None:
-    """Draw the frame with its crop into a PNG file, and beside it the network's input."""
+    picture = picture.reshape((sidecar.picture.height, sidecar.picture.width, -1))
+    truth = _words(scene.cross_track_m, scene.heading_rad)
+    answer = _words(*network.look(seen))
     figure = Figure(figsize=(11.0, 3.4), dpi=100, layout='constrained')
     before, after = figure.subplots(1, 2)
-    before.imshow(found.frame)
-    left, top, right, bottom = found.crop
+    before.imshow(frame)
+    left, top, right, bottom = sidecar.picture.crop
     before.add_patch(Rectangle(
         (left - 0.5, top - 0.5), right - left, bottom - top, fill=False, edgecolor='orange',
         linewidth=1.5,
     ))
     before.set_title('the frame, and what is used of it')
-    low, high = float(found.picture.min()), float(found.picture.max())
-    shown = (found.picture - low) / max(high - low, 1e-6)
+    low, high = float(picture.min()), float(picture.max())
+    shown = (picture - low) / max(high - low, 1e-6)
     after.imshow(shown[..., 0] if shown.shape[2] == 1 else shown, cmap='gray')
     height, width = shown.shape[:2]
     after.set_title(f'the input: {width} x {height}, {low:.2f} (black) to {high:.2f} (white)')
     for axes in (before, after):
         axes.set(xticks=[], yticks=[])
-    figure.suptitle(title)
+    figure.suptitle(f'truth: {truth}; {name}: {answer}')
     figure.savefig(path, format='png', metadata={'Software': None})
+    return f'truth {truth}\nanswer {answer}'
+
+
+def _words(cte_m: float, he_rad: float) -> str:
+    return f'CTE {cte_m:+.2f} m, HE {math.degrees(he_rad):+.1f} deg'

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import textwrap
 from collections.abc import Mapping, Sequence
-from functools import cache
+from itertools import chain
 from pathlib import Path
 
-import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -20,13 +21,14 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 
 Picture = NDArray[np.uint8]
-_GAP_PX = 6
-_PAPER = (255, 255, 255)
-_INK = (20, 20, 20)
+_GAP_PX, _DPI = 6, 72
+"""At this resolution sizes of letters are in pixels."""
 _FONT_SHARE = 22
 """Tile width over the height of caption letters, chosen to be readable in a report."""
 _HEADING_SHARE = 85
 """The same for the headings of a whole table of pictures."""
+_LETTER = 0.64
+"""Width of a letter, relative to its height: that of a digit, which is a wide one."""
 
 
 def contact_sheet(
@@ -43,33 +45,22 @@ def contact_sheet(
         columns: number of pictures in a row.
         path: PNG file to write.
         title: title line.
-
-    Raises:
-        ValueError: there are no tiles or columns, or a picture is not (H, W, 3) uint8.
     """
-    if not tiles or columns < 1:
-        raise ValueError(f'{len(tiles)} tiles in {columns} columns make no sheet')
-    _check(tiles)
-    columns = min(columns, len(tiles))
-    height, width = _largest(tiles)
-    captions = [_wrap(caption, width) for _, caption in tiles]
-    strip = _line_height(width) * max(caption.count('\n') + 1 for caption in captions) + _GAP_PX
-    rows = -(-len(tiles) // columns)
-    head = _title_height(_title_px(width)) if title else 0
-    pitch = height + strip + _GAP_PX
-    size = (_GAP_PX + columns * (width + _GAP_PX), head + rows * pitch + _GAP_PX)
-    sheet = Image.new('RGB', size, _PAPER)
-    draw = ImageDraw.Draw(sheet)
-    _draw_title(draw, title, _title_px(width))
-    for number, ((image, _), caption) in enumerate(zip(tiles, captions, strict=True)):
-        row, column = divmod(number, columns)
-        left, top = _GAP_PX + column * (width + _GAP_PX), head + _GAP_PX + row * pitch
-        _paste(sheet, image, (left, top), (height, width))
-        draw.text(
-            (left + 2, top + height + 2), caption, fill=_INK, font=_font(_font_px(width)),
-            spacing=_line_height(width) - _font_px(width),
-        )
-    sheet.save(path, format='PNG')
+    images = [image for image, _ in tiles]
+    height, width = _largest(images)
+    px = max(width // _FONT_SHARE, 10)
+    captions = [
+        '\n'.join(chain.from_iterable(
+            textwrap.wrap(line, int(width / (_LETTER * px))) or [''] for line in text.split('\n')
+        )) for _, text in tiles
+    ]
+    below_px = round(1.3 * px) * max(caption.count('\n') + 1 for caption in captions) + _GAP_PX
+    rows = [images[first:first + columns] for first in range(0, len(images), columns)]
+    figure, corners = _sheet(rows, (height, width), title, round(1.4 * px), below_px=below_px)
+    for (left, top), caption in zip(chain.from_iterable(corners), captions, strict=True):
+        figure.text(left + 2, top - height - 2, caption, fontsize=px, va='top',
+                    transform=IdentityTransform())
+    figure.savefig(path, format='png', metadata={'Software': None})
 
 
 def grid_sheet(
@@ -84,103 +75,54 @@ def grid_sheet(
         columns: column headings.
         path: PNG file to write.
         title: title line.
-
-    Raises:
-        ValueError: there are no tiles, headings do not match them, or a picture has another shape.
     """
-    if not rows or not columns or [len(row) for row in tiles] != [len(columns)] * len(rows):
-        raise ValueError(f'{len(rows)} rows and {len(columns)} columns of headings fit no tiles')
-    flat = [
-        (image, f'{row}, {column}')
-        for row, images in zip(rows, tiles, strict=True)
-        for column, image in zip(columns, images, strict=True)
-    ]
-    _check(flat)
-    height, width = _largest(flat)
+    height, width = _largest([image for row in tiles for image in row])
     # A sheet is viewed as a whole, so its headings scale with it, not with its pictures.
-    px = max(_title_px(width), len(columns) * width // _HEADING_SHARE)
-    font = _font(px)
-    draw = ImageDraw.Draw(Image.new('RGB', (1, 1)))
-    margin = round(max(draw.multiline_textbbox((0, 0), row, font)[2] for row in rows)) + 4 * _GAP_PX
-    top0 = _title_height(px) + round(1.3 * px) + _GAP_PX
-    size = (
-        margin + len(columns) * (width + _GAP_PX), top0 + len(rows) * (height + _GAP_PX),
+    px = max(width // _FONT_SHARE, 10, len(columns) * width // _HEADING_SHARE)
+    longest = max(len(line) for row in rows for line in row.split('\n'))
+    figure, corners = _sheet(
+        tiles, (height, width), title, px, left_px=round(_LETTER * px * longest) + 3 * _GAP_PX,
+        above_px=2 * px,
     )
-    sheet = Image.new('RGB', size, _PAPER)
-    draw = ImageDraw.Draw(sheet)
-    _draw_title(draw, title, px)
-    for column, text in enumerate(columns):
-        middle = margin + column * (width + _GAP_PX) + width // 2
-        draw.text((middle, top0 - _GAP_PX), text, fill=_INK, font=font, anchor='md')
-    for row, text in enumerate(rows):
-        top = top0 + row * (height + _GAP_PX)
-        draw.multiline_text(
-            (margin - 2 * _GAP_PX, top + height // 2), text, _INK, font, 'rm', align='right',
-        )
-        for column, image in enumerate(tiles[row]):
-            _paste(sheet, image, (margin + column * (width + _GAP_PX), top), (height, width))
-    sheet.save(path, format='PNG')
+    for column, (left, top) in zip(columns, corners[0], strict=True):
+        figure.text(left + width / 2, top + _GAP_PX, column, fontsize=px, ha='center',
+                    transform=IdentityTransform())
+    for row, ((left, top), *_) in zip(rows, corners, strict=True):
+        figure.text(left - 2 * _GAP_PX, top - height / 2, row, fontsize=px, ha='right',
+                    va='center', multialignment='right', transform=IdentityTransform())
+    figure.savefig(path, format='png', metadata={'Software': None})
 
 
-def _check(tiles: Sequence[tuple[Picture, str]]) -> None:
-    for image, caption in tiles:
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-            raise ValueError(f'tile {caption!r}: {image.shape} {image.dtype}, not (H, W, 3) uint8')
+def _largest(images: Sequence[Picture]) -> tuple[int, int]:
+    """Height and width of a cell."""
+    return max(one.shape[0] for one in images), max(one.shape[1] for one in images)
 
 
-def _largest(tiles: Sequence[tuple[Picture, str]]) -> tuple[int, int]:
-    return max(i.shape[0] for i, _ in tiles), max(i.shape[1] for i, _ in tiles)
-
-
-def _paste(
-    sheet: Image.Image, image: Picture, corner: tuple[int, int], size: tuple[int, int]
-) -> None:
-    """Centre a picture in a cell of ``size`` (height, width)."""
-    left, top = corner
-    at = (left + (size[1] - image.shape[1]) // 2, top + (size[0] - image.shape[0]) // 2)
-    sheet.paste(Image.fromarray(image), at)
-
-
-def _draw_title(draw: ImageDraw.ImageDraw, title: str, px: int) -> None:
-    draw.text((_GAP_PX + 2, 2 * _GAP_PX), title, fill=_INK, font=_font(px))
-
-
-def _title_px(width: int) -> int:
-    return round(1.4 * _font_px(width))
-
-
-def _title_height(px: int) -> int:
-    return round(1.3 * px) + 3 * _GAP_PX
-
-
-def _font_px(width: int) -> int:
-    return max(width // _FONT_SHARE, 10)
-
-
-def _line_height(width: int) -> int:
-    return round(_font_px(width) * 1.25)
-
-
-@cache
-def _font(px: int) -> ImageFont.FreeTypeFont:
-    # matplotlib ships DejaVu Sans: the same glyphs on every machine, including the degree sign.
-    file = Path(matplotlib.get_data_path(), 'fonts', 'ttf', 'DejaVuSans.ttf')
-    return ImageFont.truetype(file, px)
-
-
-def _wrap(caption: str, width: int) -> str:
-    return '\n'.join(line for part in caption.split('\n') for line in _wrap_line(part, width))
-
-
-def _wrap_line(text: str, width: int) -> list[str]:
-    lines: list[str] = []
-    for word in text.split(' '):
-        longer = f'{lines[-1]} {word}' if lines else word
-        if lines and _font(_font_px(width)).getlength(longer) <= width - 4:
-            lines[-1] = longer
-        else:
-            lines.append(word)
-    return lines
+def _sheet(
+    rows: Sequence[Sequence[Picture]], cell: tuple[int, int], title: str, px: int, *,
+    left_px: int = 0, above_px: int = 0, below_px: int = 0,
+) -> tuple[Figure, list[list[tuple[int, int]]]]:
+    """A figure of pictures, pixel by pixel, and the upper left corner of each cell, y upwards."""
+    height, width = cell
+    head_px = above_px + (2 * px + _GAP_PX if title else 0)
+    across, down = width + _GAP_PX, height + below_px + _GAP_PX
+    size = (
+        left_px + _GAP_PX + across * max(map(len, rows)), head_px + _GAP_PX + down * len(rows),
+    )
+    # Half a pixel, as a size that is a little too small would lose a whole one.
+    figure = Figure(figsize=[(side + 0.5) / _DPI for side in size], dpi=_DPI)
+    figure.text(_GAP_PX + 2, size[1] - 2 * _GAP_PX, title, fontsize=px, va='top',
+                transform=IdentityTransform())
+    corners: list[list[tuple[int, int]]] = []
+    for number, row in enumerate(rows):
+        top = size[1] - head_px - _GAP_PX - number * down
+        corners.append([(left_px + _GAP_PX + across * at, top) for at in range(len(row))])
+        for image, (left, _) in zip(row, corners[-1], strict=True):
+            figure.figimage(
+                image, left + (width - image.shape[1]) // 2,
+                top - (height + image.shape[0]) // 2, origin='upper',
+            )
+    return figure, corners
 
 
 HOURS = (6.0, 6.5, 7.0, 9.0, 12.0, 14.0, 15.5, 17.0, 17.5)

@@ -20,7 +20,12 @@ from taxinet_ros.analysis.causes.causes import Causes, find_causes
 from taxinet_ros.analysis.causes.clusters import Clusters, find_clusters
 from taxinet_ros.analysis.causes.predictors import RankedFeature, rank_features
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
-from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
+from taxinet_ros.analysis.runs.campaign import (
+    CampaignRuns,
+    ConfidenceInterval,
+    GroupRate,
+    difference,
+)
 from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
@@ -67,7 +72,7 @@ class BaselineComparison:
 
     baseline: CampaignRuns
     rate: GroupRate
-    difference: Difference
+    difference: ConfidenceInterval
     paired: bool
     changed: ChangedScenes | None
     differing: tuple[str, ...]
@@ -93,7 +98,7 @@ def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> Basel
     paired = tested and pairs.pairs >= min(runs.rate().effective, baseline.rate().effective)
     return BaselineComparison(
         baseline=baseline, rate=rate, paired=paired,
-        difference=Difference(*pairs.difference) if paired else difference(runs.rate(), rate),
+        difference=pairs.difference if paired else difference(runs.rate(), rate),
         changed=None if not pairs.pairs else ChangedScenes(
             pairs.pairs, worse=pairs.only_second, better=pairs.only_first,
             p=pairs.p_value if tested else math.nan,

@@ -5,23 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import binomtest, norm, rankdata, wilcoxon
+
+from taxinet_ros.analysis.runs.campaign import ConfidenceInterval
 
 CONFIDENCE = 0.95
 
 _MOST_EXACT, _MOST_RANKED = 60, 4000
 """Maximum numbers of (changed) pairs for exact rank counts, and for ranking all pairs."""
-
-
-class ConfidenceInterval(NamedTuple):
-    """A value with its 95 % interval; NaN if it has none."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from taxinet_ros.analysis.experiment.arms import ArmComparison, PairedArms, pairs_frame, rho_of
-from taxinet_ros.analysis.experiment.pairs import ConfidenceInterval, PairedRates, PairedShift
+from taxinet_ros.analysis.experiment.pairs import PairedRates, PairedShift
 from taxinet_ros.analysis.report.page import write_report
 from taxinet_ros.analysis.report.parts import (
     Cell,
@@ -25,6 +25,7 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.text import fill_report
+from taxinet_ros.analysis.runs.campaign import ConfidenceInterval
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import SIGNALS, parse_spec
 from taxinet_ros.core.mtl.lint import rho_unit

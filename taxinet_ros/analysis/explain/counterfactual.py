@@ -15,7 +15,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -66,22 +66,19 @@ EVERYTHING = frozenset(PICTURE_KEYS)
 """What our camera shows."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Factor:
-    """A property of the scene that is changed.
+class Factor(NamedTuple):
+    """A property of the scene that is changed; of several, the narrower ones stand first.
 
     Attributes:
         name: name in JSON.
         words: description of the changed scene, such as ``without its shadow``.
         cause: the cause if it has an effect, such as ``the aircraft's own shadow``.
-        rank: lower for narrower factors; factors of equal effect are named in this order.
         scenario: scenario with the property changed.
     """
 
     name: str
     words: str
     cause: str
-    rank: int
     scenario: Scenario
 
 
@@ -228,10 +225,7 @@ def _without_faults(
 
 def _different(scenario: Scenario, wanted: Sequence[_Wanted]) -> tuple[Factor, ...]:
     """The factors that change the scene."""
-    return tuple(
-        Factor(name=name, words=words, cause=cause, rank=rank, scenario=changed)
-        for rank, (name, words, cause, changed) in enumerate(wanted) if changed != scenario
-    )
+    return tuple(one for one in map(Factor._make, wanted) if one.scenario != scenario)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,9 +319,7 @@ def taken_again(
     Raises:
         InfraError: the camera failed.
     """
-    factor = Factor(
-        name=AGAIN, words='taken again', cause='the camera itself', rank=-1, scenario=scenario
-    )
+    factor = Factor(AGAIN, 'taken again', 'the camera itself', scenario)
     return _effect(factor, moments, look, gains, renderer)
 
 
@@ -360,7 +352,7 @@ def effect_to_blame(found: Sequence[Effect]) -> Effect | None:
         if effect.removed >= LEAST_SHARE and effect.removed >= _CLOSE * _best_single(found)
     ]
     single = [effect for effect in enough if effect.factor.name != 'easy']
-    return min(single or enough, key=lambda effect: effect.factor.rank)
+    return (single or enough)[0]
 
 
 def _best_single(found: Sequence[Effect]) -> float:

@@ -31,7 +31,8 @@ from scipy.stats import binom
 
 from taxinet_ros.analysis.campaign.compared import Compared, compared
 from taxinet_ros.analysis.experiment.pairs import PairedRates
-from taxinet_ros.analysis.gate.criteria import MOST_RUNS, Bounds, Criterion, Kind, Verdict
+from taxinet_ros.analysis.gate.criteria import MOST_RUNS, TEXT, Bounds, Criterion, Kind, Verdict
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import SCENE_COLUMNS, scene_columns
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -162,48 +163,21 @@ class AgainstBaseline:
             confidence: of each answer.
             command: the command that shows the scenes that changed.
         """
-        rates, name = self.found.satisfied, f'no worse than the baseline, margin {margin:g}'
-        found, spec = self.loss(confidence), self.found.after.spec
-        against = frozenset(one.run_id for one in self.worse)
-        told = (
-            f'{spec} is satisfied in {rates.second:,} of {rates.pairs:,} scenes, by the baseline '
-            f'in {rates.first:,}: {rates.only_first:,} got worse, {rates.only_second:,} better'
-        )
-        if self.unknown:
-            told += f', {self.unknown:,} more are unknown'
-        if not self.found.tested:
-            return Criterion(
-                kind=Kind.BASELINE, name=name, verdict=Verdict.INCONCLUSIVE, against=against,
-                sentence=f'{told}; no test is valid: {self._why_untested()}', next=command,
-            )
-        verdict = loss_verdict(found, margin, confidence)
-        told += (
-            f'; the loss is {_points(found.share)} points, with {100 * confidence:g} % confidence '
-            f'each at least {_points(found.low)} and at most {_points(found.high)}, p '
-            f'{"< 0.001" if found.p_value < 0.001 else f"= {found.p_value:.2g}"} '
-            '(McNemar, one side)'
-        )
-        more = None
-        if verdict is Verdict.INCONCLUSIVE:
-            more = further_scenes(rates, margin, confidence)
-            told += (
-                f'; about {more:,} more scenes needed if the shares stay the same' if more else
-                '; the runs without a verdict leave it open' if more == 0 else
-                '; too close to the margin for any realistic number of scenes'
-            )
+        found, rates = self.loss(confidence), self.found.satisfied
+        verdict, bounds, more = Verdict.INCONCLUSIVE, None, None
+        if self.found.tested:
+            verdict = loss_verdict(found, margin, confidence)
+            bounds = Bounds(found.share, found.low, found.high)
+            if verdict is Verdict.INCONCLUSIVE:
+                more = further_scenes(rates, margin, confidence)
         return Criterion(
-            kind=Kind.BASELINE, name=name, verdict=verdict, sentence=told, against=against,
-            bounds=Bounds(found.share, found.low, found.high), more_runs=more, next=command,
+            kind=Kind.BASELINE, name=f'no worse than the baseline, margin {margin:g}',
+            verdict=verdict, against=frozenset(one.run_id for one in self.worse), bounds=bounds,
+            more_runs=more, next=command, sentence=macro_text(
+                TEXT, 'against', one=self, rates=rates, loss=found, confidence=confidence,
+                more=more, undecided=verdict is Verdict.INCONCLUSIVE,
+            ),
         )
-
-    def _why_untested(self) -> str:
-        if self.found.before.anytime or self.found.after.anytime:
-            return 'the number of scenes was not fixed before the first result'
-        return 'a sampler chose the scenes by their results, or runs were stopped before the end'
-
-
-def _points(share: float) -> str:
-    return f'{100 * share:+.1f}'
 
 
 def against_baseline(

@@ -55,7 +55,7 @@ from taxinet_ros.trials.sequential import (
 if TYPE_CHECKING:
     from taxinet_ros.analysis.gate.baseline import AgainstBaseline
 
-_TEXT = Path(__file__).with_name('gate.j2')
+TEXT = Path(__file__).with_name('gate.j2')
 _SATISFIED = 'satisfied'
 MOST_RUNS = 10**7
 """Maximum number of additional runs suggested."""
@@ -282,10 +282,10 @@ def gate_result(
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
                      Verdict.PASS),
         criteria=tuple(criteria), counts=counts, judged=satisfied.runs,
-        effective=satisfied.drawn, notes=(
-            *_notes(counts, satisfied, planned if isinstance(planned, int) else len(planned)),
-            *_stop_notes(satisfied, options, criteria, rules),
-        ),
+        effective=satisfied.drawn, notes=tuple(macro_text(
+            TEXT, 'notes', counts=counts, found=satisfied, criteria=criteria, rules=rules,
+            planned=planned if isinstance(planned, int) else len(planned), look=options.look,
+        ).splitlines()),
     )
 
 
@@ -375,7 +375,7 @@ def _criterion(
         kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {limit:g}', verdict=verdict, bounds=shown, more_runs=more,
         sentence=macro_text(
-            _TEXT, 'share', good=good, shown=shown, once=once, name=name,
+            TEXT, 'share', good=good, shown=shown, once=once, name=name,
             confidence=options.confidence, look=options.look, more=more,
             undecided=verdict is Verdict.INCONCLUSIVE,
         ),
@@ -396,41 +396,8 @@ def _sequential(
         kind=Kind.OFF_RUNWAY if off else Kind.SATISFACTION,
         name=f'{name} {sign} {test.shown(test.limit):g}, sequential', verdict=verdict,
         course=found, test=test,
-        sentence=macro_text(_TEXT, 'sequential', found=found, good=good, test=test, name=name),
+        sentence=macro_text(TEXT, 'sequential', found=found, good=good, test=test, name=name),
     )
-
-
-def _stop_notes(
-    satisfied: ProgramRate, options: GateOptions, criteria: Sequence[Criterion],
-    rules: Sequence[str],
-) -> list[str]:
-    """What a campaign cannot claim that ended otherwise than planned."""
-    notes = []
-    other = [rule for rule in rules if rule not in {str(one.test) for one in criteria}]
-    ended = f'by --until {" and ".join(other)}' if other else 'otherwise than planned'
-    if options.look is not Look.SEQUENTIAL:
-        if satisfied.drawn and satisfied.anytime and options.look is Look.ANY:
-            how = f'may have ended by --until {" and ".join(rules)}' if rules else (
-                'has another number of runs than planned'
-            )
-            notes.append(
-                f'the campaign {how}: its verdict and bounds hold at any number of runs; its share '
-                'is biased, and no chance of passing can be claimed'
-            )
-        return notes
-    for one in criteria:
-        if one.course is None or one.test is None:
-            continue
-        if one.course.later:
-            notes.append(
-                f'{one.name}: {one.course.later:,} runs came after the decision and do not count'
-            )
-        if one.course.decision is None and (other or not rules) and satisfied.anytime:
-            notes.append(
-                f'{one.name}: the campaign ended {ended}, before this test decided: that a system '
-                'as good as its design passes as often as promised cannot be claimed'
-            )
-    return notes
 
 
 def _shown(found: Bounds, *, off: bool) -> Bounds:
@@ -440,36 +407,15 @@ def _shown(found: Bounds, *, off: bool) -> Bounds:
 
 def further_words(good: ProgramRate, more: int | None) -> str:
     """How many further runs would decide, of :func:`further_runs`."""
-    return macro_text(_TEXT, 'further', good=good, more=more)
+    return macro_text(TEXT, 'further', good=good, more=more)
 
 
 def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
     kinds = [row.kind for row in rows if row.outcome is Outcome.INFRA_ERROR]
-    broken = len(kinds)
-    how = f': {kind_words(count_kinds(kinds))}' if kinds else ''
-    runs = 'run was' if broken == 1 else 'runs were'
     return Criterion(
         kind=Kind.BROKEN,
         name=f'runs broken by the bench: at most {most}',
-        verdict=Verdict.PASS if broken <= most else Verdict.FAIL,
-        sentence=f'{broken} {runs} broken by the bench and {"is" if broken == 1 else "are"} in no '
-                 f'share{how}',
+        verdict=Verdict.PASS if len(kinds) <= most else Verdict.FAIL,
+        sentence=macro_text(
+            TEXT, 'broken', runs=len(kinds), kinds=kind_words(count_kinds(kinds))),
     )
-
-
-def _notes(counts: Mapping[Outcome, int], found: ProgramRate, planned: int) -> list[str]:
-    notes = []
-    for outcome, how in (
-        (Outcome.REJECTED, 'rejected by the program'), (Outcome.INTERRUPTED, 'interrupted'),
-    ):
-        if counts[outcome]:
-            notes.append(f'{counts[outcome]} runs were {how} and are in no share')
-    missing = planned - sum(counts.values())
-    if missing > 0:
-        notes.append(f'{missing} of {planned} planned runs have no result')
-    if 0 < found.drawn < found.runs:
-        notes.append(
-            f'the sampler {found.sampler} is biased: shares refer to the {found.drawn} of '
-            f'{found.runs} runs drawn by the program itself'
-        )
-    return notes

@@ -154,12 +154,7 @@ def plot_replay(
         title: title of the picture.
         recorded: name of the recorded values in the legend.
         replayed: name of the replayed values.
-
-    Raises:
-        ValueError: there is nothing to draw.
     """
-    if not differences:
-        raise ValueError('no quantity to draw')
     rows = 2 * len(differences)
     figure = Figure(figsize=(9.5, 0.9 + 3.1 * len(differences)), dpi=110, layout='constrained')
     ratios = [3, 1] * len(differences)
@@ -241,7 +236,6 @@ def replay_lines(
 
 
 def _cells(one: Difference, allowed: Mapping[str, float]) -> tuple[str, ...]:
-
     unit = f' {one.quantity.unit}' if one.quantity.unit else ''
     most = allowed.get(one.quantity.column, 0.0)
     first = '-' if one.first_seq is None else (

@@ -50,12 +50,6 @@ class Trajectory:
     ok: bool | None
     half_width_m: float = KMWH_HALF_WIDTH_M
 
-    def __post_init__(self) -> None:
-        if not self.t_s.shape == self.x_m.shape == self.cte_m.shape or self.t_s.ndim != 1:
-            raise ValueError(
-                f'{self.label}: t {self.t_s.shape}, x {self.x_m.shape}, cte {self.cte_m.shape}'
-            )
-
 
 def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str = '') -> None:
     """Draw cross-track error over time and over distance, one column per label.
@@ -66,13 +60,8 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
         trajectories: runs of one or more labels, with columns in order of appearance.
         path: PNG file to write.
         title: title of the picture.
-
-    Raises:
-        ValueError: there is nothing to draw.
     """
     labels = list(dict.fromkeys(one.label for one in trajectories))
-    if not labels:
-        raise ValueError('no trajectories to draw')
     figure = Figure(figsize=(1.6 + 5.2 * len(labels), 7.2), dpi=110, layout='constrained')
     grid = figure.subplots(2, len(labels), squeeze=False, sharey=True, sharex='row')
     for column, label in enumerate(labels):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -22,7 +21,7 @@ from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture, writ
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, read_run_view
-from taxinet_ros.analysis.report.worst import WorstView, rho_words, view_worst
+from taxinet_ros.analysis.report.worst import rho_words, view_worst
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
@@ -36,14 +35,6 @@ _SCRIPTS = (
     'values.js', 'theme.js', 'table.js', 'player.js', 'camera.js', 'runway_map.js', 'plots.js',
     'viewer.js', 'page.js',
 )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Runs:
-    """The runs that have a viewer, and the reasons why others have none."""
-
-    views: Mapping[str, RunView]
-    troubles: Mapping[str, str]
 
 
 def write_report(
@@ -83,24 +74,24 @@ def write_report_page(
 
 
 def _html(report: Report, on_progress: Callable[[str], None]) -> str:
-    runs = _read_runs(report, on_progress)
+    views, troubles = _read_runs(report, on_progress)
     style = _theme_style() + _joined(_STYLES)
     script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
     return _environment().get_template('page.html').render(
-        report=report, runs=runs, run_link=run_link, page_link=page_link,
-        worst=_worst(report, runs), rho={clean(run): rho_words(rho)
+        report=report, views=views, troubles=troubles, run_link=run_link, page_link=page_link,
+        worst=_worst(report, views), rho={clean(run): rho_words(rho)
                                          for run, rho in report.rho.items()},
         made_on=words(provenance()),
-        sections=[_section(section, runs, on_progress) for section in report.sections],
+        sections=[_section(section, views, on_progress) for section in report.sections],
         policy=_policy(style, script), style=Markup(style), script=Markup(script),
-        run_data=[data_block(view.data()) for view in runs.views.values()],
-        ground_data=data_block(_grounds(runs)), run_ids=data_block(list(runs.views)),
+        run_data=[data_block(view.data()) for view in views.values()],
+        ground_data=data_block(_grounds(views)), run_ids=data_block(list(views)),
     )
 
 
-def _worst(report: Report, runs: _Runs) -> WorstView | None:
+def _worst(report: Report, views: Mapping[str, RunView]) -> dict[str, Any] | None:
     """The run of the first screen; None if there is none, or it has no viewer."""
-    view = runs.views.get(clean(report.worst))
+    view = views.get(clean(report.worst))
     if view is None or not len(view.t_s):
         return None
     return view_worst(view, report.rho.get(report.worst))
@@ -119,7 +110,10 @@ def _environment() -> Environment:
     )
 
 
-def _read_runs(report: Report, on_progress: Callable[[str], None]) -> _Runs:
+def _read_runs(
+    report: Report, on_progress: Callable[[str], None]
+) -> tuple[dict[str, RunView], dict[str, str]]:
+    """The runs that have a viewer, and the reasons why others have none."""
     views: dict[str, RunView] = {}
     troubles: dict[str, str] = {}
     for number, (name, bag) in enumerate(report.runs.items(), start=1):
@@ -129,27 +123,24 @@ def _read_runs(report: Report, on_progress: Callable[[str], None]) -> _Runs:
             views.setdefault(run_id, read_run_view(run_id, bag))
         except (BagError, UsageError, InfraError, OSError) as error:
             troubles[run_id] = ' '.join(str(error).split())
-    return _Runs(views=views, troubles=troubles)
+    return views, troubles
 
 
 def _section(
-    section: Section, runs: _Runs, on_progress: Callable[[str], None]
+    section: Section, views: Mapping[str, RunView], on_progress: Callable[[str], None]
 ) -> dict[str, Any]:
     pictures = []
     for picture in section.pictures:
         on_progress(f'picture {picture.name}')
         pictures.append(view_picture(picture))
-    tables = [view_table(table, runs.views.keys()) for table in section.tables]
+    tables = [view_table(table, views.keys()) for table in section.tables]
     return {'section': section, 'pictures': pictures, 'tables': tables}
 
 
-def _grounds(runs: _Runs) -> dict[str, Any]:
+def _grounds(views: Mapping[str, RunView]) -> dict[str, Any]:
     """The runways of the runs, each distinct one once."""
-    views = {view.ground_name: view for view in runs.views.values()}
-    return {
-        name: views[name].ground_shapes()
-        for name in sorted(views)
-    }
+    named = {view.ground_name: view for view in views.values()}
+    return {name: named[name].ground_shapes() for name in sorted(named)}
 
 
 def _joined(names: tuple[str, ...]) -> str:

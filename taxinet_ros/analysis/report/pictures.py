@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -90,32 +89,14 @@ def write_pictures(
 _CSS_PIXELS_PER_INCH = 96
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PictureView:
-    """A picture, ready for the template.
-
-    Attributes:
-        name, title, caption: as in the report.
-        light, dark: ``data:`` addresses with the whole file.
-        width, height: size on the page [CSS px].
-    """
-
-    name: str
-    title: str
-    caption: str
-    light: str
-    dark: str
-    width: int
-    height: int
-
-
-def view_picture(picture: Picture) -> PictureView:
-    """Draw a picture for light and dark pages."""
+def view_picture(picture: Picture) -> dict[str, Any]:
+    """What the template takes of a picture: ``data:`` addresses of both themes, size [CSS px]."""
     width, height = (round(inches * _CSS_PIXELS_PER_INCH) for inches in picture.size_in)
-    return PictureView(
-        name=picture.name, title=picture.title, caption=picture.caption,
-        light=_address(picture, LIGHT), dark=_address(picture, DARK), width=width, height=height,
-    )
+    return {
+        'name': picture.name, 'title': picture.title, 'caption': picture.caption,
+        'light': _address(picture, LIGHT), 'dark': _address(picture, DARK), 'width': width,
+        'height': height,
+    }
 
 
 def data_address(data: bytes) -> str:

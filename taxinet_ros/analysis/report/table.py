@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from markupsafe import Markup
 
 from taxinet_ros.analysis.report.parts import Cell, Column, Table
 from taxinet_ros.analysis.report.values import clean, data_block, plain_number
@@ -26,70 +25,30 @@ _DIGITS = 6
 """Significant digits of fractions in columns without a number of decimals."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CellView:
-    """A cell, ready for the template.
-
-    Attributes:
-        text: display text.
-        kind: style: ``number``, ``long`` for text on several lines, or ''.
-        link: address of a run's viewer, or ''.
-    """
-
-    text: str
-    kind: str
-    link: str
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TableView:
-    """A table, ready for the template.
-
-    Attributes:
-        name, title, caption: as in the report.
-        columns: title of each column, and whether it contains numbers.
-        rows: the first :data:`ROWS_AT_ONCE`.
-        count: total number of rows.
-        data: all rows, as JSON.
-    """
-
-    name: str
-    title: str
-    caption: str
-    columns: tuple[tuple[str, bool], ...]
-    rows: tuple[tuple[CellView, ...], ...]
-    count: int
-    data: Markup
-
-    @property
-    def long(self) -> bool:
-        """Whether there are more rows than are shown at once."""
-        return self.count > ROWS_AT_ONCE
-
-    @property
-    def state(self) -> str:
-        """Display text of the range of rows shown."""
-        part = f'1–{ROWS_AT_ONCE} of ' if self.long else ''
-        return f'{part}{self.count:,} {"row" if self.count == 1 else "rows"}'
-
-
-def view_table(table: Table, viewers: Collection[str]) -> TableView:
-    """Prepare a table.
+def view_table(table: Table, viewers: Collection[str]) -> dict[str, Any]:
+    """What the template takes of a table.
 
     Args:
         table: the table.
         viewers: ids of the runs that have a viewer, as :func:`.values.clean` leaves them.
 
+    Returns:
+        ``columns``, the title of each and whether it has numbers; ``rows``, the first
+        :data:`ROWS_AT_ONCE`, each cell with its text, style (``number``, ``long`` or '') and
+        address of a run's viewer, or ''; ``count`` of all; ``state``, the rows shown in words;
+        whether it is ``long``; and ``data``, all rows as JSON.
+
     Raises:
         ValueError: a row and the columns differ in length, or there is no ``run_id_column``.
     """
-    rows = [_values(table, row) for row in table.rows]
+    rows = [
+        [_plain(cell, column) for cell, column in zip(row, table.columns, strict=True)]
+        for row in table.rows
+    ]
     kept = [place for place, column in enumerate(table.columns) if column.on_page]
     rows = [[row[place] for place in kept] for row in rows]
     table = replace(table, columns=tuple(table.columns[place] for place in kept))
     names = [column.name for column in table.columns]
-    if table.run_id_column is not None and table.run_id_column not in names:
-        raise ValueError(f'table {table.name}: no column {table.run_id_column!r} for run ids')
     run_column = names.index(table.run_id_column) if table.run_id_column is not None else -1
     numeric = [_is_numeric([row[place] for row in rows]) for place in range(len(names))]
     shown = tuple(
@@ -99,22 +58,26 @@ def view_table(table: Table, viewers: Collection[str]) -> TableView:
         )
         for row in rows[:ROWS_AT_ONCE]
     )
-    return TableView(
-        name=table.name, title=table.title, caption=table.caption, rows=shown, count=len(rows),
-        columns=tuple(zip((column.title for column in table.columns), numeric, strict=True)),
-        data=_data(table, rows, numeric, run_column),
-    )
+    long, count = len(rows) > ROWS_AT_ONCE, len(rows)
+    part = f'1–{ROWS_AT_ONCE} of ' if long else ''
+    columns: list[dict[str, Any]] = [
+        {'name': column.name, 'title': column.title, 'decimals': column.decimals,
+         'numeric': is_numeric}
+        for column, is_numeric in zip(table.columns, numeric, strict=True)
+    ]
+    return {
+        'name': table.name, 'title': table.title, 'caption': table.caption, 'rows': shown,
+        'columns': [(column['title'], column['numeric']) for column in columns], 'count': count,
+        'long': long, 'state': f'{part}{count:,} {"row" if count == 1 else "rows"}',
+        'data': data_block({
+            'columns': columns, 'rows': rows, 'runColumn': run_column, 'rowsAtOnce': ROWS_AT_ONCE,
+        }),
+    }
 
 
 def run_link(run_id: str) -> str:
     """Address of a run's viewer within the page."""
     return f'#run={quote(clean(run_id), safe="")}'
-
-
-def _values(table: Table, row: tuple[Cell, ...]) -> list[Cell]:
-    if len(row) != len(table.columns):
-        raise ValueError(f'table {table.name}: {len(row)} cells for {len(table.columns)} columns')
-    return [_plain(cell, column) for cell, column in zip(row, table.columns, strict=True)]
 
 
 def _plain(cell: Cell, column: Column) -> Cell:
@@ -139,10 +102,12 @@ def _is_numeric(values: list[Cell]) -> bool:
     )
 
 
-def _view(value: Cell, column: Column, viewers: Collection[str], numeric: bool) -> CellView:
+def _view(
+    value: Cell, column: Column, viewers: Collection[str], numeric: bool
+) -> tuple[str, str, str]:
     text = _words(value, column)
     kind = 'number' if numeric else 'long' if len(text) > _LONG else ''
-    return CellView(text=text, kind=kind, link=run_link(text) if text in viewers else '')
+    return text, kind, run_link(text) if text in viewers else ''
 
 
 def _words(value: Cell, column: Column) -> str:
@@ -155,16 +120,3 @@ def _words(value: Cell, column: Column) -> str:
     if isinstance(value, str) or column.decimals is None:
         return str(value)
     return f'{value:.{column.decimals}f}'.replace('-', '−')
-
-
-def _data(
-    table: Table, rows: list[list[Cell]], numeric: list[bool], run_column: int
-) -> Markup:
-    columns: list[dict[str, Any]] = [
-        {'name': column.name, 'title': column.title, 'decimals': column.decimals,
-         'numeric': is_numeric}
-        for column, is_numeric in zip(table.columns, numeric, strict=True)
-    ]
-    return data_block({
-        'columns': columns, 'rows': rows, 'runColumn': run_column, 'rowsAtOnce': ROWS_AT_ONCE,
-    })

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
-from taxinet_ros.analysis.report.pictures import PictureView, data_address, view_picture
+from taxinet_ros.analysis.report.pictures import data_address, view_picture
 from taxinet_ros.analysis.report.viewer import RunView
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
@@ -21,34 +21,13 @@ _BEYOND_EDGE_M = 3.0
 _MORE_STEPS = 5
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class WorstView:
-    """The worst run, ready for the template.
-
-    Attributes:
-        run_id: the run.
-        rho: its robustness in words, or ''.
-        frame: ``data:`` address of the frame, or '' if there is none.
-        at: time of the frame in words.
-        path: picture of the path.
-        caption: scene and moment, in sentences.
-    """
-
-    run_id: str
-    rho: str
-    frame: str
-    at: str
-    path: PictureView
-    caption: str
-
-
 def rho_words(rho: float) -> str:
     """A robustness with sign and two decimals: ``−1.30``."""
     return f'{rho:+.2f}'.replace('-', '−')
 
 
-def view_worst(view: RunView, rho: float | None) -> WorstView:
-    """Prepare a run for the first screen.
+def view_worst(view: RunView, rho: float | None) -> dict[str, Any]:
+    """What the template takes of the run on the first screen; '' for a frame that is not there.
 
     The frame is that at which the estimate is farthest off before the aircraft leaves its line, or
     the aircraft from the line where no estimate is known.
@@ -65,17 +44,17 @@ def view_worst(view: RunView, rho: float | None) -> WorstView:
     frames = view.frames
     number = frames.steps.index(row) if row in frames.steps else None
     scene = view.summary
-    return WorstView(
-        run_id=view.run_id, rho='' if rho is None else rho_words(rho), at=at,
-        frame='' if number is None else data_address(frames.files[number]),
-        path=view_picture(Picture(
+    return {
+        'run_id': view.run_id, 'rho': '' if rho is None else rho_words(rho), 'at': at,
+        'frame': '' if number is None else data_address(frames.files[number]),
+        'path': view_picture(Picture(
             name='worst-path', title='The path of this run', caption='', size_in=(5.0, 2.5),
             draw=partial(_draw, view, row),
         )),
-        caption=(f'{scene[:1].upper()}{scene[1:]}. ' if scene else '')
+        'caption': (f'{scene[:1].upper()}{scene[1:]}. ' if scene else '')
         + (seen if number is not None else '')
         + 'The band is the tolerance, lines are the edges of the pavement.',
-    )
+    }
 
 
 def _moment(view: RunView) -> tuple[int, bool]:

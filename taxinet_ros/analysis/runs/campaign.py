@@ -116,8 +116,8 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return [float(one) for one in adjusted]
 
 
-class Difference(NamedTuple):
-    """Difference of two rates with its 95 % interval."""
+class ConfidenceInterval(NamedTuple):
+    """A value with its 95 % interval; NaN if it has none."""
 
     value: float
     low: float
@@ -129,7 +129,7 @@ class Difference(NamedTuple):
         return self.low > 0 or self.high < 0
 
 
-def difference(one: GroupRate, other: GroupRate) -> Difference:
+def difference(one: GroupRate, other: GroupRate) -> ConfidenceInterval:
     """Difference between the rate of ``one`` and that of another, independent group.
 
     The interval combines those of the two rates (Newcombe, Statistics in Medicine 17,
@@ -138,7 +138,7 @@ def difference(one: GroupRate, other: GroupRate) -> Difference:
     value = one.rate - other.rate
     below = math.hypot(one.rate - one.low, other.high - other.rate)
     above = math.hypot(one.high - one.rate, other.rate - other.low)
-    return Difference(value, value - below, value + above)
+    return ConfidenceInterval(value, value - below, value + above)
 
 
 _SCENE = [feature.source for feature in PAPER_FEATURES]

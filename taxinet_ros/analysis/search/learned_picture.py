@@ -25,13 +25,8 @@ def learned_picture(
         probabilities: probabilities of their bins, by name of the dimension.
         path: PNG file to write; the same values give the same bytes.
         title: title of the picture.
-
-    Raises:
-        ValueError: there is nothing to draw.
     """
     shown = [choice for choice in choices if choice.dimension.name in probabilities]
-    if not shown:
-        raise ValueError('no probabilities to draw')
     columns = min(_COLUMNS, len(shown))
     rows = math.ceil(len(shown) / columns)
     figure = Figure(figsize=(4.6 * columns, 0.6 + 2.9 * rows), dpi=110, layout='constrained')

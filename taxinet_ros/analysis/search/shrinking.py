@@ -35,7 +35,6 @@ from taxinet_ros.trials.shrink.report import (
 from taxinet_ros.trials.shrink.shrinking import Shrinking
 
 TEXT = Path(__file__).with_name('shrink.j2')
-_MOST = 3
 _LEAST_M, _BEYOND_EDGE_M = 2.5, 4.0
 
 
@@ -55,12 +54,7 @@ def shrink_picture(runs: Sequence[Trajectory], title: str) -> Picture:
         runs: the original, the shrunk and the nominal run, as far as available; their labels are
             shown.
         title: title of the picture.
-
-    Raises:
-        ValueError: there is nothing to draw, or there are too many.
     """
-    if not 0 < len(runs) <= _MOST:
-        raise ValueError(f'{len(runs)} runs to draw')
     return Picture(
         name=Path(PICTURE_NAME).stem, title=title, size_in=(8.0, 4.4),
         caption='True distance from the line over time, left is up.',

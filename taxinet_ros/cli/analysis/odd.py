@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
 
 from taxinet_ros.cli.analysis.odd_coverage import WIDTH, coverage
+from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.cli.show import line_console, print_json
-from taxinet_ros.errors import ExitCode, UsageError
-
-if TYPE_CHECKING:
-    pass
+from taxinet_ros.errors import ExitCode
 
 odd_app = command_group('Operational design domains (ODD), and what campaigns cover of one.')
 _OddArgument = Annotated[
@@ -81,10 +79,7 @@ def export(
     found = read_odd(find_odd(odd))
     paths = (out, binding_path(out))
     for path in paths:
-        if path.exists():
-            raise UsageError(f'--out {path}: already exists; name a new file')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: no such folder: {out.parent}')
+        check_new_file(path)
     for path, text in zip(paths, openodd_texts(found, out.name), strict=True):
         write_atomically(path, text)
     print(f'written: {paths[0]} (ASAM OpenODD 1.0), {paths[1].name} (for openodd-py)')

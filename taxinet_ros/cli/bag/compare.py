@@ -24,7 +24,7 @@ def compare(
     bag: BagArgument,
     other: Annotated[Path, typer.Argument(metavar='OTHER', help='the bag to compare with')],
     tolerance: Annotated[
-        float, typer.Option(help='tolerance of floating-point values; 0: bit-identical')
+        float, typer.Option(min=0, help='tolerance of floating-point values; 0: bit-identical')
     ] = 0.0,
     skip: Annotated[
         list[str] | None,
@@ -44,8 +44,6 @@ def compare(
     from taxinet_ros.cli.bag.input import warn_of_stacks
     from taxinet_ros.trials.past_runs.repeated_run import one_run, readable_bags
 
-    if not 0 <= tolerance < float('inf'):
-        raise UsageError(f'--tolerance {tolerance:g}: needs to be 0 or more')
     console = line_console()
     with readable_bags():
         one, two = one_run(bag, run_id), one_run(other, other_run)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.cli.options import BagArgument, RunOption
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -56,7 +57,7 @@ def export(
 
     topics = topics or []
     kind = _format(out, file_format, topics)
-    _check_new(out)
+    check_new_file(out)
     if topics and not any(map(is_run_topic, topics)):  # Foreign topics: as recorded.
         if run_id is not None:
             raise UsageError(
@@ -90,13 +91,6 @@ def _format(out: Path, named: str | None, topics: Sequence[str]) -> str:
     if kind in TABLES and suffix and len(topics) > 1:
         raise UsageError(f'--out {out}: a file holds one topic; name a folder for several')
     return kind
-
-
-def _check_new(out: Path) -> None:
-    if out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: already exists and is not overwritten; choose a new name')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: no such folder: {out.parent}; make it first')
 
 
 def _one_table(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,9 +12,6 @@ from taxinet_ros.cli.show import line_console
 from taxinet_ros.core.topics import PERCEPTION, STEERING_CONTROLLER
 from taxinet_ros.errors import UsageError
 
-if TYPE_CHECKING:
-
-    from taxinet_ros.bag.run.recording import Recording
 
 def replay(
     bag: BagArgument,
@@ -39,13 +35,13 @@ def replay(
     tolerance_cte: Annotated[
         float,
         typer.Option(
-            metavar='M', help='tolerance of cross-track estimates; 0: bit-identical'
+            metavar='M', min=0, help='tolerance of cross-track estimates; 0: bit-identical'
         ),
     ] = 0.0,
     tolerance_he: Annotated[
         float,
         typer.Option(
-            metavar='DEG', help='tolerance of heading estimates; 0: bit-identical'
+            metavar='DEG', min=0, help='tolerance of heading estimates; 0: bit-identical'
         ),
     ] = 0.0,
 ) -> int:
@@ -53,40 +49,6 @@ def replay(
 
     Regression test for a retrained network. Missing frames are rendered. Exit code: 0 equal within
     the tolerances, 1 different, 2 bad input, 4 the node failed.
-    """
-    from taxinet_ros.trials.past_runs.repeated_run import readable_run
-
-    tolerances = {'cte': tolerance_cte, 'he': tolerance_he}
-    for name, value in tolerances.items():
-        if not 0 <= value < float('inf'):
-            raise UsageError(f'--tolerance-{name} {value:g}: needs to be 0 or more')
-    if into != PERCEPTION and (any(tolerances.values()) or perception):
-        raise UsageError(
-            f'--into {into}: takes neither --perception nor a tolerance; its outputs '
-            'are determined exactly by its inputs'
-        )
-    if into != STEERING_CONTROLLER and controller:
-        raise UsageError(f'--into {into}: takes no --controller')
-    with readable_run(bag, run_id) as whole:
-        return run_replay(
-            whole, into, perception=perception, controller=controller, out=out,
-            allowed={'est_cte_m': tolerance_cte, 'est_he_rad': tolerance_he},
-        )
-
-
-def run_replay(
-    recording: Recording, into: str, *, perception: str | None, controller: str | None,
-    out: Path | None, allowed: Mapping[str, float],
-) -> int:
-    """Replay, print a table, and write plot and values; exit code 1 if different.
-
-    Args:
-        recording: of the run.
-        into: the node.
-        perception: word; None for the run's own.
-        controller: word; None for the run's own.
-        out: new folder, or None for one below ``bags/``.
-        allowed: greatest differences by column, in display units; of others 0.
     """
     from taxinet_ros.analysis.one_run.replay import (
         conclusion,
@@ -106,35 +68,45 @@ def run_replay(
         controller_of,
         perception_of,
         perception_words,
+        readable_run,
     )
 
-    console = line_console()
-    run, trace = recording.run, recording.columns
-    if run.timing.free:
+    allowed = {'est_cte_m': tolerance_cte, 'est_he_rad': tolerance_he}
+    if into != PERCEPTION and (any(allowed.values()) or perception):
         raise UsageError(
-            f'{recording.path}: a free run, whose unanswered frames cannot be compared; replay a '
-            'lockstep run'
+            f'--into {into}: takes neither --perception nor a tolerance; its outputs '
+            'are determined exactly by its inputs'
         )
-    word, fingerprint = run.perception, run.fingerprint
-    if into == PERCEPTION:
-        word, fingerprint = perception_of(run, perception)
-    what = short_word(word) if into == PERCEPTION else into
-    out = out or new_folder(DEFAULT_ROOT / f'replay-{run.request.run_id}-{what}')
-    check_new(out)
-    law = STEERING
-    if into == STEERING_CONTROLLER:
-        law = controller_of(run, controller)
-        if parts_of(law) is not None:
+    if into != STEERING_CONTROLLER and controller:
+        raise UsageError(f'--into {into}: takes no --controller')
+    console = line_console()
+    with readable_run(bag, run_id) as recording:
+        run, trace = recording.run, recording.columns
+        if run.timing.free:
             raise UsageError(
-                f'--controller {law}: its monitor needs the frames too, which are not '
-                'replayed into it; `taxinet run --from` drives the whole run again'
+                f'{recording.path}: a free run, whose unanswered frames cannot be compared; replay '
+                'a lockstep run'
             )
-    answers = replay(recording, run, target=into, perception=word, controller=law)
-    before, now = 'recorded', 'now'
-    if into == PERCEPTION:
-        before += f': {perception_words(run.perception, run.fingerprint)}'
-        now += f': {perception_words(short_word(word), fingerprint)}'
-    found = differences(into, trace, answers)
+        word, fingerprint = run.perception, run.fingerprint
+        if into == PERCEPTION:
+            word, fingerprint = perception_of(run, perception)
+        what = short_word(word) if into == PERCEPTION else into
+        out = out or new_folder(DEFAULT_ROOT / f'replay-{run.request.run_id}-{what}')
+        check_new(out)
+        law = STEERING
+        if into == STEERING_CONTROLLER:
+            law = controller_of(run, controller)
+            if parts_of(law) is not None:
+                raise UsageError(
+                    f'--controller {law}: its monitor needs the frames too, which are not '
+                    'replayed into it; `taxinet run --from` drives the whole run again'
+                )
+        answers = replay(recording, run, target=into, perception=word, controller=law)
+        before, now = 'recorded', 'now'
+        if into == PERCEPTION:
+            before += f': {perception_words(run.perception, run.fingerprint)}'
+            now += f': {perception_words(short_word(word), fingerprint)}'
+        found = differences(into, trace, answers)
     console.print(f'{run.request.run_id} into {into}: {before}, {now}')
     for line, style in replay_lines(found, allowed):
         console.print(line, style=style)

@@ -5,19 +5,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task
+from rich.text import Text
 
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.assurance.switch import check_controller
@@ -38,6 +33,7 @@ from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.options import GRAPH, LOOP, CampaignOptions
 from taxinet_ros.trials.record.facts import recorded_system
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.search_summary import live_words
 from taxinet_ros.trials.summary import (
     campaign_heading,
     campaign_summary,
@@ -47,6 +43,8 @@ from taxinet_ros.trials.summary import (
     summary_json,
 )
 from taxinet_ros.trials.worker_pool import WorkerPool
+
+_REFRESH_PER_S = 2.0
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
@@ -126,35 +124,31 @@ def make_campaign(
         KeyboardInterrupt: interrupted with runs left.
     """
     console = Console(highlight=False, stderr=as_json)
-    with _progress(console) as progress:
-        bar = progress.add_task('', total=options.runs)
 
-        def show(row: RunRow) -> None:
-            if not quiet:
-                progress.console.print(row_line(row, scenes.check.shared), soft_wrap=True)
-            progress.advance(bar)
+    def show(row: RunRow) -> None:
+        if not quiet:
+            console.print(row_line(row, scenes.check.shared), soft_wrap=True)
 
-        here = None if _runs_elsewhere(options, foxglove) else _Graphs(options)
-        scenes = ProgramOrder(options, here.make_ahead if here else lambda: None)
-        engine = Engine(scenes, PARTICIPANTS, show)
-        with (
-            print_rows_if_lost(
-                progress.console, engine.summary, engine.rows.latest if quiet else (),
-            ),
-            here or contextlib.nullcontext(), engine,
-        ):
-            if here:
-                here.check(engine.book.facts)
-            if not quiet:
-                lines = [campaign_heading(options), *scenes.notes]
-                if here is None and options.workers == 1:
-                    lines[0] = campaign_heading(options, 'one worker process')
-                    lines.append(f'your functions print to {options.out}/logs/worker-1.log')
-                progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
-            live = [] if foxglove is None else [f'live at ws://127.0.0.1:{foxglove}']
-            above = [] if quiet else row_headings(scenes.check, options.runs)
-            for line in (*requirement_lines(scenes.check, quiet=quiet), *live, *above):
-                progress.console.print(line, soft_wrap=True)
+    here = None if _runs_elsewhere(options, foxglove) else _Graphs(options)
+    scenes = ProgramOrder(options, here.make_ahead if here else lambda: None)
+    engine = Engine(scenes, PARTICIPANTS, show)
+    with (
+        print_rows_if_lost(console, engine.summary, engine.rows.latest if quiet else ()),
+        here or contextlib.nullcontext(), engine,
+    ):
+        if here:
+            here.check(engine.book.facts)
+        if not quiet:
+            lines = [campaign_heading(options), *scenes.notes]
+            if here is None and options.workers == 1:
+                lines[0] = campaign_heading(options, 'one worker process')
+                lines.append(f'your functions print to {options.out}/logs/worker-1.log')
+            console.print('\n'.join(lines), soft_wrap=True, markup=False)
+        live = [] if foxglove is None else [f'live at ws://127.0.0.1:{foxglove}']
+        above = [] if quiet else row_headings(scenes.check, options.runs)
+        for line in (*requirement_lines(scenes.check, quiet=quiet), *live, *above):
+            console.print(line, soft_wrap=True)
+        with search_view(console, engine, shown=console.is_terminal):
             if here:
                 _run_here(engine, here, foxglove)
             else:
@@ -224,18 +218,33 @@ def _view(port: int | None, graph: Graph) -> contextlib.AbstractContextManager[N
     return foxglove_view(port, graph.domain)
 
 
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn('running'),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn('left'),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
+@contextlib.contextmanager
+def search_view(console: Console, search: Engine[Any], *, shown: bool) -> Iterator[None]:
+    """Context that shows the search live; with ``shown`` False, nothing."""
+    columns = BarColumn(bar_width=10), MofNCompleteColumn(), _Figures(search)
+    with Progress(
+        *columns, console=console, transient=True, disable=not shown,
+        refresh_per_second=_REFRESH_PER_S,
+    ) as progress:
+        progress.add_task('', total=search.options.runs)
+        yield
+
+
+class _Figures(ProgressColumn):
+    """Figures beside the bar: failures, pace, time left, lowest robustness, failure rate."""
+
+    def __init__(self, search: Engine[Any]) -> None:
+        super().__init__()
+        self._search = search
+        self._began = time.monotonic()
+        self._before = len(search.rows)
+
+    def render(self, task: Task) -> Text:
+        """Render the current figures."""
+        task.completed = len(self._search.summary)
+        minutes = (time.monotonic() - self._began) / 60
+        words = '  '.join(live_words(self._search, minutes, self._before))
+        return Text(words, no_wrap=True, overflow='ellipsis')
 
 
 class _Graphs:

@@ -106,8 +106,8 @@ def run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
         unfinished_words,
         write_estimate,
     )
-    from taxinet_ros.cli.run.campaign import run_on_workers
-    from taxinet_ros.cli.run.search import open_search, search_view
+    from taxinet_ros.cli.run.campaign import run_on_workers, search_view
+    from taxinet_ros.cli.run.search import open_search
     from taxinet_ros.nodes.running.domain import check_workers
     from taxinet_ros.samplers.splitting import State
     from taxinet_ros.trials.search_summary import heading_lines

@@ -14,8 +14,8 @@ from taxinet_ros.analysis.experiment.report import write_experiment
 from taxinet_ros.cli.completion import complete_experiment, complete_perception
 from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.cli.run.campaign import run_on_workers
-from taxinet_ros.cli.run.search import open_cluster, open_search, search_view
+from taxinet_ros.cli.run.campaign import run_on_workers, search_view
+from taxinet_ros.cli.run.search import open_cluster, open_search
 from taxinet_ros.cli.show import print_json
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError

@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
-import time
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-)
-from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.cli.run.campaign import run_on_workers
+from taxinet_ros.cli.run.campaign import run_on_workers, search_view
 from taxinet_ros.errors import ExitCode, plain_line
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
@@ -31,44 +22,13 @@ from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.search_summary import heading_lines, live_words, search_summary
+from taxinet_ros.trials.search_summary import heading_lines, search_summary
 from taxinet_ros.trials.summary import (
     requirement_lines,
     row_headings,
     row_line,
     summary_json,
 )
-
-_REFRESH_PER_S = 2.0
-
-
-@contextlib.contextmanager
-def search_view(console: Console, search: Engine[Any], *, shown: bool) -> Iterator[None]:
-    """Context that shows the search live; with ``shown`` False, nothing."""
-    columns = BarColumn(bar_width=10), MofNCompleteColumn(), _Figures(search)
-    with Progress(
-        *columns, console=console, transient=True, disable=not shown,
-        refresh_per_second=_REFRESH_PER_S,
-    ) as progress:
-        progress.add_task('', total=search.options.runs)
-        yield
-
-
-class _Figures(ProgressColumn):
-    """Figures beside the bar: failures, pace, time left, lowest robustness, failure rate."""
-
-    def __init__(self, search: Engine[Any]) -> None:
-        super().__init__()
-        self._search = search
-        self._began = time.monotonic()
-        self._before = len(search.rows)
-
-    def render(self, task: Task) -> Text:
-        """Render the current figures."""
-        task.completed = len(self._search.summary)
-        minutes = (time.monotonic() - self._began) / 60
-        words = '  '.join(live_words(self._search, minutes, self._before))
-        return Text(words, no_wrap=True, overflow='ellipsis')
 
 
 def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:

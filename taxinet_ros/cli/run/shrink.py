@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Column
 
 from taxinet_ros.analysis.search.shrinking import PROGRAM_NAME, write_shrunk
 from taxinet_ros.cli.options import (
@@ -29,14 +25,13 @@ from taxinet_ros.cli.options import (
     WorkersOption,
 )
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.cli.run.campaign import run_on_workers
+from taxinet_ros.cli.run.campaign import run_on_workers, search_view
 from taxinet_ros.cli.run.search import open_cluster, print_row
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import ExitCode
 from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.record.facts import missing_packages_named
-from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.shrink.algorithm import End
 from taxinet_ros.trials.shrink.report import (
     Report,
@@ -49,7 +44,6 @@ from taxinet_ros.trials.shrink.report import (
     shrink_heading,
 )
 from taxinet_ros.trials.shrink.shrinking import Shrinking, make_shrinking
-from taxinet_ros.trials.summary import scene_words
 
 
 def shrink(
@@ -99,18 +93,18 @@ def _run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
     check_workers(shrinking.campaign.workers)
     console = Console(highlight=False)
     begun = time.monotonic()
-    with _shrink_view(console, quiet=quiet) as show:
-        engine = Engine(shrinking, PARTICIPANTS, show)
-        shown = not (quiet or console.is_terminal)
-        with (
-            open_cluster(engine.options, console) as cluster,
-            print_rows_if_lost(console, engine.summary, () if shown else engine.rows.latest),
-            engine,
-        ):
-            if engine.book.warning:
-                console.print(engine.book.warning, soft_wrap=True, markup=False)
-            if not quiet:
-                console.print(shrink_heading(shrinking), soft_wrap=True)
+    engine = Engine(
+        shrinking, PARTICIPANTS, lambda row: print_row(row, console, quiet=quiet))
+    shown = not (quiet or console.is_terminal)
+    with (
+        open_cluster(engine.options, console) as cluster,
+        print_rows_if_lost(console, engine.summary, () if shown else engine.rows.latest), engine,
+    ):
+        if engine.book.warning:
+            console.print(engine.book.warning, soft_wrap=True, markup=False)
+        if not quiet:
+            console.print(shrink_heading(shrinking), soft_wrap=True)
+        with search_view(console, engine, shown=console.is_terminal and not quiet):
             run_on_workers(engine, cluster)
     found = make_report(shrinking)
     check_run(engine, found)
@@ -129,21 +123,3 @@ def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s:
         lines.append(f'written: {out / names[0]}, {", ".join(names[1:])}')
         lines.append(f'run it: {run_command(shrinking, str(out / PROGRAM_NAME))}')
     console.print('\n'.join(lines), soft_wrap=True)
-
-
-@contextlib.contextmanager
-def _shrink_view(console: Console, *, quiet: bool) -> Iterator[Callable[[RunRow], None]]:
-    """Context that shows finished runs: one line each; on a terminal, one updated line."""
-    live = console.is_terminal and not quiet
-    with Progress(
-        SpinnerColumn(), TextColumn('{task.completed} runs'), TimeElapsedColumn(),
-        TextColumn('{task.description}', table_column=Column(no_wrap=True, ratio=1)),
-        console=console, transient=True, expand=True, disable=not live,
-    ) as progress:
-        task = progress.add_task('', total=None)
-
-        def show(row: RunRow) -> None:
-            print_row(row, progress.console, quiet=quiet)
-            progress.update(task, advance=1, description=f'{row.outcome} {scene_words(row)}')
-
-        yield show

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.cli.completion import complete_program, one_of
 from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import PictureOption, ScenarioOption
@@ -52,16 +52,12 @@ def from_nnet(
 
     if out.suffix != ONNX_SUFFIX:
         raise UsageError(f'--out {out}: networks are {ONNX_SUFFIX} files; use {out.stem}.onnx')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: {out.parent} is not a folder')
+    check_new_file(out)
     content, source = description_of(description)
     beside = sidecar_path(out)
-    own = beside.exists() and source.exists() and beside.samefile(source)
-    if not own:
+    if not (beside.exists() and source.exists() and beside.samefile(source)):
         check_output(f'--out {out}: {beside}', beside, own=[beside.suffix])
-    for path in (out, *(() if own else (beside,))):
-        if path.exists() or path.is_symlink():
-            raise UsageError(f'--out {out}: {path} already exists; choose a new name')
+        check_new_file(beside)
     found = converted(file, read_nnet(file), out, content, source)
     nnet = found.nnet
     hidden = ', '.join(map(str, nnet.sizes[1:-1])) or 'no'
@@ -123,7 +119,7 @@ def see(
     out: PictureOption = None,
 ) -> None:
     """Draw what an ONNX network gets to see of a scene's first frame, and print its answer."""
-    from taxinet_ros.analysis.camera.network_view import draw_network_view, network_view
+    from taxinet_ros.analysis.camera.network_view import draw_network_view
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
     from taxinet_ros.core.perception.domain import domain_words
     from taxinet_ros.core.perception.onnx.trial import tried_network
@@ -134,14 +130,5 @@ def see(
     scene = scenario_from_human(read_settings(settings or ()))
     loaded, _ = tried_network(network)
     path = new_picture(out, f'network-{network.stem}')
-    found = network_view(loaded, scene)
-    truth = _words(scene.cross_track_m, scene.heading_rad)
-    answer = _words(found.cte_m, found.he_rad)
-    title = f'truth: {truth}; {network.name}: {answer}'
-    write_picture(path, lambda: draw_network_view(found, title, path))
-    domain = domain_words(find_domain(str(network)))
-    print(f'truth {truth}\nanswer {answer}\ndomain {domain}\npicture: {path}')
-
-
-def _words(cte_m: float, he_rad: float) -> str:
-    return f'CTE {cte_m:+.2f} m, HE {math.degrees(he_rad):+.1f} deg'
+    answer = write_picture(path, lambda: draw_network_view(loaded, network.name, scene, path))
+    print(f'{answer}\ndomain {domain_words(find_domain(str(network)))}\npicture: {path}')

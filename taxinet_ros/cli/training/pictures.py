@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
+from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT
 
 SUFFIX = '.png'
+_T = TypeVar('_T')
 
 
 def new_picture(out: Path | None, stem: str) -> Path:
@@ -21,10 +24,7 @@ def new_picture(out: Path | None, stem: str) -> Path:
         return _next_free(DEFAULT_ROOT / f'{stem}{SUFFIX}')
     if out.suffix.lower() != SUFFIX:
         raise UsageError(f'--out {out}: pictures are PNG files; use {out.stem}{SUFFIX}')
-    if out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: already exists and is not overwritten; choose a new name')
-    if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: no such folder: {out.parent}; make it first')
+    check_new_file(out)
     return out
 
 
@@ -37,8 +37,8 @@ def _next_free(wanted: Path) -> Path:
     return candidate
 
 
-def write_picture(path: Path, save: Callable[[], object]) -> None:
-    """Call ``save``, which writes ``path``; the default folder is made first.
+def write_picture(path: Path, save: Callable[[], _T]) -> _T:
+    """What ``save`` gives, which writes ``path``; the default folder is made first.
 
     Raises:
         UsageError: the file cannot be written.
@@ -46,7 +46,7 @@ def write_picture(path: Path, save: Callable[[], object]) -> None:
     try:
         if path.parent == DEFAULT_ROOT:
             path.parent.mkdir(exist_ok=True)
-        save()
+        return save()
     except OSError as error:
         raise UsageError(f'{path}: cannot be written: {error.strerror or error}') from error
 

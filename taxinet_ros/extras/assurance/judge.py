@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.analysis.runs.campaign import ConfidenceInterval
 from taxinet_ros.core.assurance.monitor import RuntimeMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import (
     WATCH,
@@ -239,15 +240,6 @@ def _monitor(word: str) -> RuntimeMonitor:
     return make_monitor(word)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Bounded:
-    """A number with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
 @dataclass(frozen=True, kw_only=True)
 class FalseAlarms:
     """Alarms in satisfied runs.
@@ -262,7 +254,7 @@ class FalseAlarms:
     false_alarms: int
     false_share: Rate
     settled_alarms: int
-    false_per_h: Bounded
+    false_per_h: ConfidenceInterval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -339,7 +331,7 @@ class Guarded:
     rho_m: tuple[float, float, float]
     fixed: int
     broken: int
-    off_ratio: Bounded
+    off_ratio: ConfidenceInterval
 
 
 def summarize(trials: Sequence[Trial], alarms_s: Mapping[int, Floats]) -> Judged:
@@ -443,7 +435,7 @@ def _guarded(plain: Sequence[Trial], guarded: Sequence[Trial]) -> Guarded:
     )
 
 
-def off_ratio(before: int, after: int, runs: int) -> Bounded:
+def off_ratio(before: int, after: int, runs: int) -> ConfidenceInterval:
     """Ratio of two shares of the same number of runs, with its 95 % interval.
 
     Each share has its one-sided Clopper-Pearson bound of 97.5 %, so by Bonferroni the interval
@@ -457,21 +449,21 @@ def off_ratio(before: int, after: int, runs: int) -> Bounded:
     low_before, high_before = share_bounds(before, runs - before, 0.0125)
     low_after, high_after = share_bounds(after, runs - after, 0.0125)
     value = before / after if after else (math.inf if before else math.nan)
-    return Bounded(
+    return ConfidenceInterval(
         value=value, low=low_before / high_after,
         high=high_before / low_after if low_after else math.inf,
     )
 
 
-def per_hour(count: int, hours: float) -> Bounded:
+def per_hour(count: int, hours: float) -> ConfidenceInterval:
     """Rate of a Poisson process with its exact 95 % interval (Garwood, Biometrika 28, 1936)."""
     if hours <= 0:
-        return Bounded(value=math.nan, low=0.0, high=math.inf)
+        return ConfidenceInterval(value=math.nan, low=0.0, high=math.inf)
     from scipy.special import gammaincinv
 
     low = float(gammaincinv(count, 0.025)) if count else 0.0
     high = float(gammaincinv(count + 1, 0.975))
-    return Bounded(value=count / hours, low=low / hours, high=high / hours)
+    return ConfidenceInterval(value=count / hours, low=low / hours, high=high / hours)
 
 
 def _quantiles(values: Sequence[float]) -> tuple[float, float, float]:

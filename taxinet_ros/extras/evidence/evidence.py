@@ -13,9 +13,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -35,8 +35,6 @@ from taxinet_ros.extras.evidence import figures
 from taxinet_ros.extras.evidence.argument import mermaid, parse_argument
 from taxinet_ros.extras.evidence.inputs import (
     CampaignInput,
-    Requirement,
-    ResultsInput,
     digest_of,
     read_campaigns,
     read_localisation,
@@ -77,14 +75,8 @@ def parse_claim(text: str) -> float:
     return value / 100 if percent else value
 
 
-@dataclass(frozen=True, kw_only=True)
-class Collected:
-    """Evidence, ready to be written.
-
-    Attributes:
-        content: everything, as JSON values.
-        inputs: the campaigns by their ids.
-    """
+class Collected(NamedTuple):
+    """Evidence, ready to be written: all as JSON values, and the campaigns by their ids."""
 
     content: dict[str, Any]
     inputs: Mapping[str, CampaignInput]
@@ -93,10 +85,10 @@ class Collected:
 def collect(
     campaigns: Sequence[Path], folder: Path,
     on_progress: Progress = lambda stage, done, of: None, *,
-    requirement: Requirement | None = None, claim: float | None = None, spec: str | None = None,
-    odd: str | None = None, localisations: Sequence[Path] = (), monitors: Sequence[Path] = (),
-    networks: Sequence[str] = (), recorded: Mapping[Path, str] | None = None,
-    names: Sequence[str] = (),
+    requirement: Mapping[str, str] | None = None, claim: float | None = None,
+    spec: str | None = None, odd: str | None = None, localisations: Sequence[Path] = (),
+    monitors: Sequence[Path] = (), networks: Sequence[str] = (),
+    recorded: Mapping[Path, str] | None = None, names: Sequence[str] = (),
 ) -> Collected:
     """Read all inputs and compute all figures.
 
@@ -143,17 +135,14 @@ def collect(
         systems.setdefault(digest_of(one.system), {})[name] = one
     content: dict[str, Any] = {
         'schema': SCHEMA, 'about': WORDS, 'claim': claim, 'asked_spec': spec,
-        'requirement': None if requirement is None else {
-            'id': requirement.name, 'text': requirement.text,
-            'given': requirement.given, 'sha256': requirement.sha256,
-        },
+        'requirement': requirement,
         'odd': None if domain is None else _odd(domain, str(odd), path),
         'localisations': [
-            _results(f'localisation-{number}', read_localisation(each, inputs), path)
+            {'id': f'localisation-{number}', 'path': path(each), **read_localisation(each, inputs)}
             for number, each in enumerate(localisations, 1)
         ],
         'monitors': [
-            _results(f'monitor-{number}', read_monitor(each, inputs), path)
+            {'id': f'monitor-{number}', 'path': path(each), **read_monitor(each, inputs)}
             for number, each in enumerate(monitors, 1)
         ],
         'systems': [
@@ -188,16 +177,6 @@ def _refuse_repeated(content: Mapping[str, Any]) -> None:
             raise UsageError(f'{option}: two are {why}; name one of them')
 
 
-def _results(
-    name: str, found: ResultsInput, path: Callable[[Path], str]
-) -> dict[str, Any]:
-    return {
-        'id': name, 'path': path(found.folder), 'files': dict(found.files),
-        'summary': found.summary, 'figures': dict(found.figures),
-        'campaigns': list(found.campaigns),
-    }
-
-
 def _odd(domain: Odd, word: str, path: Callable[[Path], str]) -> dict[str, Any]:
     file, sha256 = Path(word), file_sha256(find_odd(word))
     shipped = not file.is_file()  # and found by its name
@@ -216,7 +195,7 @@ def _system(
     inputs = list(own.values())
     first, facts = inputs[0], inputs[0].facts
     spec = _spec(asked_spec, first)
-    network = read_network(facts, networks)
+    network, card = read_network(facts, networks)
     counts = figures.counts_json(inputs, list(facts['specs']))
     formula = next(one for one in counts['formulas'] if one['formula'] == spec)
     verdict = None if claim is None else figures.claim_verdict(formula, claim)
@@ -234,10 +213,8 @@ def _system(
         'headline': spec,
         'assumptions': {name: facts.get(name, []) for name in ('stop_on', 'bounds', 'rates')},
         'network': {
-            'name': network.word, 'sha256': network.sha256 or None,
-            'card_sha256': network.card_sha256 or None, 'why_unknown': network.why_unknown,
-            'shipped': network.word in SHIPPED,
-            'training': None if network.card is None else _training(network.card, inputs),
+            **network, 'shipped': network['name'] in SHIPPED,
+            'training': None if card is None else _training(card, inputs),
         },
         'controller': {
             'name': facts.get('controller', ''), 'sha256': facts.get('controller_sha256') or None,

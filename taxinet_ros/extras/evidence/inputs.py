@@ -70,28 +70,13 @@ def text_sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Requirement:
-    """A requirement in words.
+def read_requirement(given: str) -> dict[str, str]:
+    """Read a requirement from a text ``ID: wording``, or from a file that contains one.
 
-    Attributes:
-        name: its identifier, such as ``REQ-TAXI-7``.
-        text: its wording, in one line.
-        given: the whole text as given.
+    Returns:
+        ``id``, such as ``REQ-TAXI-7``; ``text``, its wording in one line; ``given``, the text as
+        given; ``sha256`` of that, or of the file.
     """
-
-    name: str
-    text: str
-    given: str
-
-    @property
-    def sha256(self) -> str:
-        """SHA-256 of the text as given; of a file, that of its bytes."""
-        return text_sha256(self.given)
-
-
-def read_requirement(given: str) -> Requirement:
-    """Read a requirement from a text ``ID: wording``, or from a file that contains one."""
     try:
         is_file = Path(given).is_file()
     except (OSError, ValueError):  # a text that is too long for a name, or has a zero
@@ -103,15 +88,18 @@ def read_requirement(given: str) -> Requirement:
     return requirement_of(text, f'--requirement {given:.60}')
 
 
-def requirement_of(text: str, where: str) -> Requirement:
-    """Split a requirement ``ID: wording``."""
+def requirement_of(text: str, where: str) -> dict[str, str]:
+    """Split a requirement ``ID: wording``; see :func:`read_requirement`."""
     found = _ID.fullmatch(text)
     if found is None or len(text) > _LONGEST_REQUIREMENT:
         raise UsageError(
             f"{where}: expected an identifier, a colon and the wording, as in 'REQ-7: The aircraft "
             f"shall …', in at most {_LONGEST_REQUIREMENT:,} characters; or a file with that"
         )
-    return Requirement(name=found[1], text=' '.join(found[2].split()), given=text)
+    return {
+        'id': found[1], 'text': ' '.join(found[2].split()), 'given': text,
+        'sha256': text_sha256(text),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,47 +221,32 @@ def read_campaigns(
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
-class NetworkInput:
-    """The perception of a system.
-
-    Attributes:
-        word: its name or file as recorded.
-        sha256: recorded hash of its weights or code; '' for the truth.
-        card: model card, if it has one: training data, seed, command.
-        card_sha256: of the card's file.
-        why_unknown: why the training data are not known; ''.
-    """
-
-    word: str
-    sha256: str
-    card: ModelCard | None = None
-    card_sha256: str = ''
-    why_unknown: str = ''
-
-
-def read_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> NetworkInput:
-    """Find the recorded network and its model card.
+def read_network(
+    facts: Mapping[str, Any], given: Iterable[str] = ()
+) -> tuple[dict[str, Any], ModelCard | None]:
+    """Find the recorded network and its model card: training data, seed, command.
 
     A network that is gone or has changed is no error: its training data are then unknown.
+
+    Returns:
+        Its ``name``, ``sha256`` of its weights or code, None for the truth, ``card_sha256`` and
+        ``why_unknown`` its data are; and its card, if it has one.
     """
     word, sha256 = str(facts['perception']), str(facts['perception_sha256'])
     shown = Path(word).name if word.endswith((SUFFIX, '.onnx')) else word
-    if not sha256:
-        return NetworkInput(
-            word=shown, sha256='', why_unknown='no network: the controller is given the truth'
-            if word == TRUTH else 'the perception did not report a hash',
-        )
+    found = {'name': shown, 'sha256': sha256 or None, 'card_sha256': None, 'why_unknown': ''}
     why = ''
+    if not sha256:
+        why = 'no network: the controller is given the truth' if word == TRUTH else (
+            'the perception did not report a hash')
+        return {**found, 'why_unknown': why}, None
     for candidate in (*given, word):
         path = weights_path(candidate)
         why = why or _why_unusable(path, sha256)
         if not _why_unusable(path, sha256):
             card = card_path(path)
-            return NetworkInput(
-                word=shown, sha256=sha256, card=load_card(card), card_sha256=file_sha256(card)
-            )
-    return NetworkInput(word=shown, sha256=sha256, why_unknown=why)
+            return {**found, 'card_sha256': file_sha256(card)}, load_card(card)
+    return {**found, 'why_unknown': why}, None
 
 
 def _why_unusable(path: Path, sha256: str) -> str:
@@ -305,26 +278,12 @@ def usable_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> str:
     raise UsageError(f'{why}; name the network of the runs with --perception FILE')
 
 
-@dataclass(frozen=True, kw_only=True)
-class ResultsInput:
-    """Results of another command on campaigns: ``taxinet localize`` or ``taxinet assure judge``.
-
-    Attributes:
-        folder: their folder.
-        summary: name of the summary, which has the digests of the rest.
-        files: SHA-256 of files, the summary among them.
-        campaigns: ids of the campaigns.
-        figures: the findings.
-    """
-
-    folder: Path
-    summary: str
-    files: Mapping[str, str]
-    campaigns: tuple[str, ...]
-    figures: Mapping[str, Any]
+Results = dict[str, Any]
+"""Results of another command on campaigns: ``summary``, the name of the file that has the digests
+of the rest; ``files``, SHA-256 by name; ``campaigns``, ids; ``figures``, the findings."""
 
 
-def read_localisation(folder: Path, campaigns: Mapping[str, CampaignInput]) -> ResultsInput:
+def read_localisation(folder: Path, campaigns: Mapping[str, CampaignInput]) -> Results:
     """Read the summary of a localisation, and find its campaign by its trials."""
     path, summary = folder / RECORD_NAME, folder / LOCALISE_NAME
     for needed in (summary, path):
@@ -351,14 +310,13 @@ def read_localisation(folder: Path, campaigns: Mapping[str, CampaignInput]) -> R
             'and runs have to agree)'
         )
         raise UsageError(f'{folder}: {why}')
-    return ResultsInput(
-        folder=folder, summary=summary.name, campaigns=(found[0],),
-        files={summary.name: file_sha256(summary)},
-        figures={name: value for name, value in sealed.values.items() if name != 'made_on'},
-    )
+    return {
+        'summary': summary.name, 'campaigns': found, 'files': {summary.name: file_sha256(summary)},
+        'figures': {name: value for name, value in sealed.values.items() if name != 'made_on'},
+    }
 
 
-def read_monitor(folder: Path, campaigns: Mapping[str, CampaignInput]) -> ResultsInput:
+def read_monitor(folder: Path, campaigns: Mapping[str, CampaignInput]) -> Results:
     """Read the judgement of a monitor, and find the campaigns that it is about.
 
     Those are of the same network, without a monitor or with the same one and a judged fallback.
@@ -374,20 +332,20 @@ def read_monitor(folder: Path, campaigns: Mapping[str, CampaignInput]) -> Result
         network = str(digests.pop('perception'))
     except (LookupError, TypeError, ValueError) as error:
         raise UsageError(f'{path}: is of another form ({error!r}); judge again') from error
-    about = tuple(
+    about = [
         name for name, one in campaigns.items()
         if network and network == one.facts['perception_sha256'] and (
             parts_of(str(one.facts.get('controller', ''))) is None
             or one.facts.get('controller_sha256') in digests.values()
         )
-    )
+    ]
     if not about:
         raise UsageError(
             f'{folder}: is about network {options["perception"]} (sha256 {network[:12]}…) under '
             f'monitor {options["monitor"]} with {", ".join(options["fallbacks"])}; no campaign '
             'named here ran that network without a monitor, or with this monitor and fallback'
         )
-    return ResultsInput(
-        folder=folder, summary=path.name, campaigns=about, figures=figures,
-        files={name: file_sha256(folder / name) for name in (path.name, *sealed.files)},
-    )
+    return {
+        'summary': path.name, 'campaigns': about, 'figures': figures,
+        'files': {name: file_sha256(folder / name) for name in (path.name, *sealed.files)},
+    }

@@ -90,8 +90,6 @@ def verify(
         seed: chooses them.
         on_progress: called with the stage, what is done of it, and how much there is.
     """
-    if sample < 0:
-        raise UsageError(f'--sample {sample}: needs to be 0 or more')
     if absent := [path for path in moved if not path.exists()]:
         raise UsageError(f'--campaign {absent[0]}: no such folder')
     found, path = Verification(), folder / JSON_NAME

@@ -50,24 +50,17 @@ _FACTOR = 4.0
 """Their ranges reach from the default divided by this to the default times this."""
 
 Gains = Mapping[str, float]
+Ranges = Mapping[str, tuple[float, float]]
+"""Gains to vary, and the range of each, both ends included."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Varied:
-    """A gain to vary, and its range, both ends included."""
-
-    name: str
-    low: float
-    high: float
-
-
-def varied_gains(texts: Iterable[str]) -> tuple[Varied, ...]:
+def varied_gains(texts: Iterable[str]) -> Ranges:
     """Read ``steering.GAIN=LOW:HIGH`` texts, with units; the usual gains if there are none.
 
     Raises:
         UsageError: a gain is unknown or named twice, or its range is empty or not allowed.
     """
-    found: dict[str, Varied] = {}
+    found: dict[str, tuple[float, float]] = {}
     for text in texts:
         key, equals, values = text.partition('=')
         low, colon, high = values.partition(':')
@@ -75,26 +68,24 @@ def varied_gains(texts: Iterable[str]) -> tuple[Varied, ...]:
             raise UsageError(f'--vary {text}: expected steering.GAIN=LOW:HIGH')
         name = key.removeprefix(GAIN_PREFIX)
         try:
-            one = Varied(name=name, low=typed_gain(name, low), high=typed_gain(name, high))
+            ends = typed_gain(name, low), typed_gain(name, high)
         except UsageError as error:
             raise UsageError(f'--vary {text}: {error}') from None
         valid = GAIN_RANGES[name]
         if name in found:
             raise UsageError(f'--vary {text}: {name} is named twice')
-        if not valid.low <= one.low < one.high <= valid.high:
+        if not valid.low <= ends[0] < ends[1] <= valid.high:
             raise UsageError(
                 f'--vary {text}: expected LOW below HIGH, both within '
                 f'{valid.low:g}..{valid.high:g} {valid.unit}'
             )
-        found[name] = one
-    return tuple(found.values()) or tuple(map(_usual, _USUAL))
+        found[name] = ends
+    return found or {name: _usual(name) for name in _USUAL}
 
 
-def _usual(name: str) -> Varied:
+def _usual(name: str) -> tuple[float, float]:
     usual, valid = getattr(SteeringGains(), name), GAIN_RANGES[name]
-    return Varied(
-        name=name, low=max(valid.low, usual / _FACTOR), high=min(valid.high, usual * _FACTOR)
-    )
+    return max(valid.low, usual / _FACTOR), min(valid.high, usual * _FACTOR)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +96,7 @@ class TuneOptions:
         learning: scenes of the search.
         unseen: scenes on which its result is judged; none of those of the search.
         perception: word or file of the perception.
-        varied: gains to vary.
+        varied: gains to vary, with their ranges.
         start: initial gains that differ from the defaults; they are the first candidate.
         candidates: number of candidates, with the first.
         seed: seed of the proposals.
@@ -115,7 +106,7 @@ class TuneOptions:
     learning: SceneSet
     unseen: SceneSet
     perception: str
-    varied: tuple[Varied, ...]
+    varied: Ranges
     start: Gains = field(default_factory=dict)
     candidates: int = 50
     seed: int = 0
@@ -239,16 +230,16 @@ class Race:
 class Proposals:
     """Optuna's tree of Parzen estimators over gains, which it maximises by minimising ``-rho``."""
 
-    def __init__(self, varied: Sequence[Varied], start: Gains, seed: int) -> None:
+    def __init__(self, varied: Ranges, start: Gains, seed: int) -> None:
         """Proposals that learn from results, the initial gains first."""
         from optuna.distributions import FloatDistribution
         from optuna.samplers import TPESampler
 
         self._start, self._asked = dict(start), 0
         self._ranges: dict[str, BaseDistribution] = {
-            one.name: FloatDistribution(one.low, one.high) for one in varied
+            name: FloatDistribution(low, high) for name, (low, high) in varied.items()
         }
-        self._varied = tuple(varied)
+        self._varied = varied
         self._open: Proposal | None = None
         with quiet():
             self._study = new_study(
@@ -280,7 +271,7 @@ class Proposals:
             values = {
                 name: float(found.gains.get(name, getattr(usual, name))) for name in self._ranges
             }
-            inside = all(one.low <= values[one.name] <= one.high for one in self._varied)
+            inside = all(low <= values[name] <= high for name, (low, high) in self._varied.items())
             if found.worst is not None and inside:
                 self._study.add_trial(create_trial(
                     params=values, distributions=self._ranges, value=-found.worst,
@@ -463,7 +454,7 @@ def tuned_json(tuned: Tuned, options: TuneOptions) -> dict[str, Any]:
     return plain({
         'program': options.learning.source, 'perception': options.perception,
         'spec': options.learning.judging.headline, 'seed': options.seed,
-        'varied': {one.name: [one.low, one.high] for one in options.varied},
+        'varied': options.varied,
         'scenes': tuned.scenes, 'runs': tuned.runs, 'verdict': tuned.verdict,
         'start': _candidate_json(tuned.start), 'found': _candidate_json(tuned.found),
         'candidates': [_candidate_json(one) for one in tuned.candidates],

@@ -32,24 +32,16 @@ REGENERATE = 'sim/operation/regen_weather'
 """Command after which X-Plane 12 draws its clouds anew; other changes act at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Layer:
-    """Clouds of X-Plane 12: type 0 cirrus, 1 stratus, 2 cumulus; coverage 0..1; m above ground."""
-
-    type: float
-    coverage: float
-    base_m: float
-    top_m: float
-
-
 _CLOUDS_12 = {
-    'clear': _Layer(0.0, 0.0, 8000.0, 8500.0),
-    'cirrus': _Layer(0.0, 0.5, 8000.0, 8500.0),
-    'scattered': _Layer(2.0, 0.44, 1500.0, 2700.0),
-    'broken': _Layer(2.0, 0.75, 1500.0, 2700.0),
-    'overcast': _Layer(2.0, 1.0, 1200.0, 2700.0),
-    'stratus': _Layer(1.0, 1.0, 600.0, 2000.0),
+    'clear': (0.0, 0.0, 8000.0, 8500.0),
+    'cirrus': (0.0, 0.5, 8000.0, 8500.0),
+    'scattered': (2.0, 0.44, 1500.0, 2700.0),
+    'broken': (2.0, 0.75, 1500.0, 2700.0),
+    'overcast': (2.0, 1.0, 1200.0, 2700.0),
+    'stratus': (1.0, 1.0, 600.0, 2000.0),
 }
+"""Of X-Plane 12: type 0 cirrus, 1 stratus, 2 cumulus; coverage 0..1; base and top [m above ground].
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,15 +112,15 @@ def _weather_11(scenario: Scenario) -> tuple[list[Setting], list[Setting]]:
 
 
 def _weather_12(scenario: Scenario) -> tuple[list[Setting], list[Setting]]:
-    region, layer = 'sim/weather/region/', _CLOUDS_12[scenario.clouds]
-    base_m, top_m = (scenario.runway.elevation_m + one for one in (layer.base_m, layer.top_m))
+    region, (kind, coverage, *heights_m) = 'sim/weather/region/', _CLOUDS_12[scenario.clouds]
+    base_m, top_m = (scenario.runway.elevation_m + one for one in heights_m)
     none = (0.0,) * (_LAYERS - 1)
     above = tuple(top_m + 1000.0 * (1 + at) for at in range(_LAYERS - 1))
     direction_deg = math.degrees(scenario.wind_direction_rad)
     return [
         Setting(region + 'change_mode', _STATIC), Setting(region + 'variability_pct', 0.0),
-        Setting(region + 'cloud_type', (layer.type, *none)),
-        Setting(region + 'cloud_coverage_percent', (layer.coverage, *none)),
+        Setting(region + 'cloud_type', (kind, *none)),
+        Setting(region + 'cloud_coverage_percent', (coverage, *none)),
         Setting(region + 'cloud_base_msl_m', (base_m, *above), within=1.0),
         Setting(
             region + 'cloud_tops_msl_m', (top_m, *(one_m + 500.0 for one_m in above)), within=1.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from taxinet_ros.analysis.camera.sheets import Picture, contact_sheet, grid_sheet
@@ -59,19 +58,6 @@ def test_given_the_same_tiles_when_laid_out_twice_then_the_bytes_are_the_same(
     assert (tmp_path / 'a.png').read_bytes() == (tmp_path / 'b.png').read_bytes()
 
 
-@pytest.mark.parametrize(('tiles', 'columns', 'message'), [
-    ([], 2, '0 tiles'),
-    ([(tile(50), 'x')], 0, '0 columns'),
-    ([(np.zeros((4, 4), np.uint8), 'grey')], 1, "tile 'grey'"),
-    ([(np.zeros((4, 4, 3)), 'float')], 1, 'float64'),
-])
-def test_given_no_pictures_when_laid_out_then_it_is_refused(
-    tiles: list[tuple[Picture, str]], columns: int, message: str, tmp_path: Path,
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        contact_sheet(tiles, columns, tmp_path / 'sheet.png')
-
-
 def test_given_a_title_when_laid_out_then_it_stands_above_the_pictures(
     tmp_path: Path,
 ) -> None:
@@ -103,10 +89,3 @@ def test_given_a_table_when_laid_out_then_headings_stand_left_and_above_of_whole
     assert (left | above).all()
     assert (left & ~above).sum() > 300
     assert (above & ~left).sum() > 300
-
-
-def test_given_headings_that_do_not_fit_when_laid_out_then_they_are_refused(
-    tmp_path: Path,
-) -> None:
-    with pytest.raises(ValueError, match='2 columns'):
-        grid_sheet([[tile(50)]], ['a'], ['b', 'c'], tmp_path / 's.png', title='')

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from taxinet_ros.analysis.one_run.trajectories import Trajectory, plot_trajectories
@@ -57,10 +56,3 @@ def test_given_a_path_to_the_left_when_drawn_then_it_lies_in_the_upper_half(tmp_
         upper_axes = (pixels == BLUE).all(axis=2)[: pixels.shape[0] // 2]
         rows.append(np.nonzero(upper_axes)[0].mean())
     assert rows[0] < rows[1]
-
-
-def test_given_nothing_or_unequal_lengths_when_drawn_then_it_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match='no trajectories'):
-        plot_trajectories([], tmp_path / 'x.png')
-    with pytest.raises(ValueError, match='truth: t'):
-        Trajectory(label='truth', t_s=np.zeros(3), x_m=np.zeros(3), cte_m=np.zeros(2), ok=True)

@@ -6,7 +6,6 @@ import io
 from pathlib import Path
 
 import numpy as np
-import pytest
 from matplotlib.image import imread
 
 from taxinet_ros.analysis.one_run.trajectories import Trajectory
@@ -39,11 +38,6 @@ def test_given_any_kind_of_choice_when_drawn_then_there_is_a_picture_the_same_ea
     assert (tmp_path / 'two.png').read_bytes() != one
 
 
-def test_given_nothing_learned_when_drawn_then_it_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match='no probabilities'):
-        learned_picture(CHOICES, {}, tmp_path / 'one.png', 'found')
-
-
 def run(label: str, cte_m: float) -> Trajectory:
     t = np.linspace(0, 30, 301)
     return Trajectory(label=label, t_s=t, x_m=5 * t, cte_m=cte_m * t / 30, ok=abs(cte_m) < 1.5)
@@ -58,9 +52,3 @@ def test_given_three_runs_then_the_same_picture_is_drawn_each_time():
     far, near = imread(io.BytesIO(one)), imread(io.BytesIO(other))
     assert far.shape == near.shape
     assert not np.array_equal(far, near), 'the view follows the runs'
-
-
-@pytest.mark.parametrize('number', [0, 4])
-def test_given_no_run_or_too_many_then_it_is_refused(number):
-    with pytest.raises(ValueError, match=f'{number} runs to draw'):
-        shrink_picture([run('one', 1.0)] * number, 'title')

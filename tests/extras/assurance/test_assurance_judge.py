@@ -20,6 +20,7 @@ from taxinet_ros.extras.assurance.calibrate import (
     check_share,
     fit_kinematics,
 )
+from taxinet_ros.extras.assurance.commands import TEXT, run_judge
 from taxinet_ros.extras.assurance.judge import (
     FACTORS,
     REACH_S,
@@ -37,7 +38,6 @@ from taxinet_ros.extras.assurance.judge import (
     summarize,
     trade_of,
 )
-from taxinet_ros.extras.assurance.show import TEXT, run_judge
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.recordings.score import ScoreOptions, score
 from taxinet_ros.recordings.truth import TruthSource

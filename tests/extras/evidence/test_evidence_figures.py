@@ -388,8 +388,8 @@ def test_given_a_requirement_in_a_file_then_its_hash_is_that_of_the_file(tmp_pat
     path = tmp_path / 'req.txt'
     path.write_bytes(b'REQ-7:  The aircraft shall\r\nstay.\n')
     found = read_requirement(str(path))
-    assert (found.name, found.text) == ('REQ-7', 'The aircraft shall stay.')
-    assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert (found['id'], found['text']) == ('REQ-7', 'The aircraft shall stay.')
+    assert found['sha256'] == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_given_interrupted_runs_then_the_interval_is_the_open_one(tmp_path):

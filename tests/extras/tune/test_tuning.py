@@ -108,8 +108,8 @@ def test_given_a_range_that_cannot_be_then_it_is_refused_by_name(text, words):
 
 
 def test_given_units_then_a_range_is_that_of_the_gain():
-    (one,) = varied_gains(['steering.max_intercept_rad=10 deg:60 deg'])
-    assert (one.low, one.high) == (math.radians(10), math.radians(60))
+    found = varied_gains(['steering.max_intercept_rad=10 deg:60 deg'])
+    assert found == {'max_intercept_rad': (math.radians(10), math.radians(60))}
     assert len(varied_gains([])) == 3
     for text, value in (('1.68 deg/m', math.radians(1.68)), ('0.03 rad/m', 0.03), ('0.03', 0.03)):
         assert typed_gain('cte_gain_rad_per_m', text) == value

@@ -12,7 +12,7 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.facts import free_account
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.cli.bag.replay import run_replay
+from taxinet_ros.cli.bag.replay import replay
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.judging import Judging, StopOn
@@ -141,10 +141,7 @@ def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slo
             bag, perception='truth', specs=('phi_always',), runs=100, out=tmp_path / 'never'
         )
     with pytest.raises(UsageError, match='a free run, whose unanswered frames'):
-        run_replay(
-            open_recording(bag), 'perception', perception='truth', controller=None,
-            out=tmp_path / 'r', allowed={},
-        )
+        replay(bag, perception='truth', out=tmp_path / 'r')
     assert list(tmp_path.iterdir()) == []
 
 
