@@ -27,7 +27,7 @@ from taxinet_ros.files.record import RECORD_NAME, examine_record, no_writer, rea
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.trials.experiment import JSON_NAME as EXPERIMENT_NAME
 from taxinet_ros.trials.options import AUDIT_FOLDER
-from taxinet_ros.trials.past_runs.judged_run import bag_differences
+from taxinet_ros.trials.past_runs.recorded_campaign import bag_differences
 from taxinet_ros.trials.record.content import (
     AS_TEXT,
     CampaignContent,

@@ -18,7 +18,7 @@ from taxinet_ros.core.system import System, system_values
 from taxinet_ros.processes.child import module_command
 from taxinet_ros.trials.audit import Auditor
 from taxinet_ros.trials.loop_run import Loop
-from taxinet_ros.trials.worker_process import Link, serve
+from taxinet_ros.trials.worker_pool import Link, serve
 
 
 def loop_worker_command(

@@ -66,8 +66,7 @@ from taxinet_ros.trials.record.resumption import (
     unfinished_search,
 )
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY
-from taxinet_ros.trials.stop import StopCount, StopRule, parse_stop_rule
+from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY, StopCount, StopRule, parse_stop_rule
 
 PATIENCE = 3
 """Number of consecutive infrastructure errors in one session that end the search."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.system import System
     from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
     from taxinet_ros.trials.options import CampaignOptions
-    from taxinet_ros.trials.worker_process import Link
+    from taxinet_ros.trials.worker_pool import Link
 
 
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
@@ -76,13 +76,13 @@ def _work(values: dict[str, Any], link: Link) -> None:
 
 def _report(graph: SampledGraph, link: Link, end: threading.Event) -> None:
     """Report the progress of the run periodically; silence means that it hangs."""
-    from taxinet_ros.trials.worker_process import BEAT_S
+    from taxinet_ros.trials.worker_pool import BEAT_S
 
     while not end.wait(BEAT_S):
         link.progress(graph.seq)
 
 
 if __name__ == '__main__':
-    from taxinet_ros.trials.worker_process import serve
+    from taxinet_ros.trials.worker_pool import serve
 
     sys.exit(serve(_work))

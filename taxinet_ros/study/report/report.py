@@ -20,12 +20,6 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically, write_parquet
 from taxinet_ros.files.plain_values import plain
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
-from taxinet_ros.study.report.figures import (
-    day_pictures,
-    learned_picture,
-    rates_picture,
-    runway_pictures,
-)
 from taxinet_ros.study.report.paper import PAPER_RUNS, judge_claims
 from taxinet_ros.study.report.results import Results, read_results, read_tables
 from taxinet_ros.study.report.tables import (
@@ -34,18 +28,21 @@ from taxinet_ros.study.report.tables import (
     NETWORK_COLUMNS,
     PAIR_COLUMNS,
     binned_columns,
+    day_pictures,
     distances_frame,
     hours_frame,
     learned_frame,
+    learned_picture,
     networks_frame,
     pairs_frame,
+    rates_picture,
+    runway_pictures,
     stages_frame,
     table_of,
 )
 from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config
 from taxinet_ros.study.stages.plan import COMMAND, PAPER_RULE, REPORT, read_study, stages
-from taxinet_ros.study.stages.progress import clock, rough_duration
-from taxinet_ros.study.stages.record import read_stages
+from taxinet_ros.study.stages.run import clock, read_stages, rough_duration
 from taxinet_ros.trials.experiment import arm_rows, find_experiment, read_experiment
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.version import __version__

@@ -8,7 +8,7 @@ from typing import Any
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.stages.config import StudyConfig, study_of
-from taxinet_ros.study.stages.record import read_options
+from taxinet_ros.study.stages.run import read_options
 from taxinet_ros.study.stages.stage import (
     Resume,
     Stage,

@@ -88,9 +88,13 @@ from taxinet_ros.study.why.verdict import (
     adjusted,
 )
 from taxinet_ros.trials.loop_run import Loop
-from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.trials.past_runs.localisation import make_localize_options
-from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.trials.past_runs.recorded_campaign import (
+    JudgedRun,
+    RecordedCampaign,
+    find_run,
+    open_campaign,
+)
 from taxinet_ros.trials.past_runs.trials import Trial
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
 from taxinet_ros.trials.record.table import PARQUET_NAME

@@ -11,7 +11,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record
-from taxinet_ros.trials.past_runs.judged_run import check_same_run
+from taxinet_ros.trials.past_runs.recorded_campaign import check_same_run
 from taxinet_ros.trials.record.content import (
     AS_TEXT,
     REQUIREMENT,

@@ -33,17 +33,16 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.scenes.source import Rejected, SceneSource
 from taxinet_ros.trials.options import CampaignOptions
-from taxinet_ros.trials.past_runs.judged_run import find_run
 from taxinet_ros.trials.past_runs.recorded_campaign import (
     RecordedCampaign,
+    find_run,
     open_campaign,
     spread_evenly,
 )
 from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
 from taxinet_ros.trials.rates import sample_size_was_fixed
-from taxinet_ros.trials.record.columns import rho_column, specs_of
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
-from taxinet_ros.trials.record.row import RunRow, scene_attributes
+from taxinet_ros.trials.record.row import RunRow, rho_column, scene_attributes, specs_of
 from taxinet_ros.trials.record.table import read_any_table
 from taxinet_ros.trials.record.table import table as table_of
 from taxinet_ros.trials.worker_pool import Task

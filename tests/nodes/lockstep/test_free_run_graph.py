@@ -20,7 +20,7 @@ from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.trials.past_runs.judged_run import find_run
+from taxinet_ros.trials.past_runs.recorded_campaign import find_run
 from taxinet_ros.trials.shrink.shrinking import make_shrinking
 
 pytestmark = pytest.mark.ros

@@ -27,7 +27,7 @@ from taxinet_ros.study.report.report import (
 from taxinet_ros.study.report.results import read_results
 from taxinet_ros.study.stages.config import study_of
 from taxinet_ros.study.stages.plan import campaign_of
-from taxinet_ros.study.stages.record import read_options
+from taxinet_ros.study.stages.run import read_options
 
 __all__ = ['browser']
 

@@ -17,7 +17,7 @@ from taxinet_ros.study.stages.config import (
     shipped_config,
     study_of,
 )
-from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
+from taxinet_ros.study.stages.run import OPTIONS, open_study, read_options
 
 SHIPPED = read_config(shipped_config())
 
