@@ -112,9 +112,21 @@ SIMPLY_DRAWN = ('', 'random')
 """Samplers whose runs are all independent draws from the program; '' means no sampler."""
 
 
+_KINDS: Mapping[str, tuple[str, Any]] = {
+    'string': ('str', ''), 'boolean': ('bool | None', None), 'float64': ('float | None', None),
+}
+_SceneColumns: Any = dataclasses.make_dataclass('_SceneColumns', [
+    (known.key, kind, field(default=default)) for known in SCENARIO_FIELDS
+    for kind, default in [_KINDS[known.column_type]]
+], frozen=True, kw_only=True, slots=True)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RunRow:
+class RunRow(_SceneColumns):
     """One run of a campaign. Values that a run does not have are None, or '' for words.
+
+    The scenario's values are attributes by key (:mod:`taxinet_ros.core.scenario_fields`), None or
+    '' if no scene could be drawn.
 
     Attributes:
         run_id: unique name.
@@ -133,14 +145,6 @@ class RunRow:
             each did at once. A free run is not reproducible.
         free: figures of a free run by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
-        cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
-            crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
-            lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
-            loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
-            fault_onset_s, fault_seed, traffic, camera, sensors, gnss_noise_m, gnss_bias_m,
-            gnss_dropout_start_s, gnss_dropout_s, datarefs, duration_s, place: the scenario,
-            see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         signals: its control points by key, see :mod:`taxinet_ros.core.signals`.
         outcome: how the run ended.
         kind, who, detail: why a run was not judged: kind of error, what failed, and one line.
@@ -180,52 +184,6 @@ class RunRow:
     fingerprint: str = ''
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
-    cross_track_m: float | None = None
-    distance_m: float | None = None
-    heading_deg: float | None = None
-    clouds: str = ''
-    rain_percent: float | None = None
-    time_of_day_h: float | None = None
-    date: str = ''
-    shadows: bool | None = None
-    crossing: bool | None = None
-    aircraft: str = ''
-    wind_speed_mps: float | None = None
-    wind_direction_deg: float | None = None
-    gust_mps: float | None = None
-    gust_seed: float | None = None
-    runway_state: str = ''
-    slope_percent: float | None = None
-    speed_mps: float | None = None
-    track: str = ''
-    camera_dropout_percent: float | None = None
-    camera_freeze_s: float | None = None
-    lens_dirt_percent: float | None = None
-    lens_drops_percent: float | None = None
-    glare_ghost_percent: float | None = None
-    exposure_jump_ev: float | None = None
-    loop_delay_s: float | None = None
-    loop_jitter_s: float | None = None
-    steering_bias_deg: float | None = None
-    steering_rate_limit_degps: float | None = None
-    fault_onset_s: float | None = None
-    fault_seed: float | None = None
-    traffic: str = ''
-    camera: str = ''
-    camera_dx_m: float | None = None
-    camera_dy_m: float | None = None
-    camera_dz_m: float | None = None
-    camera_droll_deg: float | None = None
-    camera_dpitch_deg: float | None = None
-    camera_dyaw_deg: float | None = None
-    sensors: str = ''
-    gnss_noise_m: float | None = None
-    gnss_bias_m: float | None = None
-    gnss_dropout_start_s: float | None = None
-    gnss_dropout_s: float | None = None
-    datarefs: str = ''
-    duration_s: float | None = None
-    place: str = ''
     signals: Mapping[str, float | str] = field(default_factory=dict)
     kind: str = ''
     who: str = ''
