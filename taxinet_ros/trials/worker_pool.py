@@ -27,14 +27,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.perception.substituted import AS_RECORDED
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.system import System, system_values
-from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import ExitCode, InfraKind, UsageError
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.processes.child import ChildProcess, open_pipe
 
 
@@ -61,64 +58,6 @@ class Task(RunRequest):
     exact: bool = True
     observer: str = ''
     observed: str = ''
-
-
-def request_to_json(request: RunRequest) -> dict[str, Any]:
-    """Plain values; the inverse of :func:`request_from_json`."""
-    values = dataclasses.asdict(request)
-    return {**values, 'system': request.system.to_json()} if isinstance(request, Task) else values
-
-
-def request_from_json(values: Mapping[str, Any]) -> RunRequest:
-    """Create from the values of :func:`request_to_json`.
-
-    Raises:
-        UsageError: the scenario is out of range.
-        KeyError, TypeError, ValueError: a field is missing or unknown.
-    """
-    known = {
-        **values,
-        'scenario': Scenario(**values['scenario']),
-        'judging': _judging_from_json(values['judging']),
-        'participants': tuple(values['participants']),
-    }
-    if 'system' not in values:
-        return RunRequest(**known)
-    return Task(**{**known, 'system': System(**system_values(values['system']))})
-
-
-def _judging_from_json(values: Mapping[str, Any]) -> Judging:
-    texts = {name: tuple(values[name]) for name in ('specs', 'bounds', 'rates')}
-    return Judging(**{**values, **texts, 'stop_on': StopOn(values['stop_on'])})
-
-
-def result_to_json(result: RunResult) -> dict[str, Any]:
-    """Plain values; the inverse of :func:`result_from_json`."""
-    return dataclasses.asdict(result)
-
-
-def result_from_json(values: Mapping[str, Any]) -> RunResult:
-    """Read back what :func:`result_to_json` gave.
-
-    Raises:
-        KeyError, TypeError, ValueError: a field is missing or unknown, or the outcome is unknown.
-    """
-    return RunResult(**{
-        **values,
-        'outcome': Outcome(values['outcome']),
-        'statistics': _statistics_from_json(values.get('statistics')),
-        'robustness': {
-            name: RobustnessInterval(*ends)
-            for name, ends in values.get('robustness', {}).items()
-        },
-    })
-
-
-def _statistics_from_json(values: Mapping[str, Any] | None) -> RunStatistics | None:
-    if values is None:
-        return None
-    errors = {name: ErrorStatistics(**values[name]) for name in ('cte_error', 'he_error')}
-    return RunStatistics(**{**values, **errors})
 
 
 _GRACE_S = 5.0
@@ -171,7 +110,7 @@ class WorkerProcess:
     def give(self, request: RunRequest) -> None:
         """Send a run; if the process is dead, :meth:`read` reports it."""
         self.request, self.seq, self.silent_since = request, -1, time.monotonic()
-        self._send({'run': request_to_json(request)})
+        self._send({'run': dataclasses.asdict(request)})
 
     def interrupt(self) -> None:
         """Request an orderly end of the current run."""
@@ -344,7 +283,7 @@ class WorkerPool:
         return self._answered(worker, results[0]) if results else None
 
     def _answered(self, worker: WorkerProcess, values: Mapping[str, Any]) -> Answer:
-        request, result = worker.request, result_from_json(values)
+        request, result = worker.request, typed(RunResult, values)
         assert request is not None
         worker.request = None
         if result.outcome is Outcome.INFRA_ERROR:
@@ -399,7 +338,7 @@ class Link:
 
     def answer(self, request: RunRequest, result: RunResult) -> bool:
         """Send a result; the parent decides whether this worker gets another run."""
-        self._say(result=result_to_json(result))
+        self._say(result=dataclasses.asdict(result))
         return True
 
     def progress(self, seq: int) -> None:
@@ -417,7 +356,8 @@ class Link:
         for line in io.FileIO(sys.stdin.fileno(), closefd=False):
             message = json.loads(line)
             if 'run' in message:
-                self._requests.put(request_from_json(message['run']))
+                kind = Task if 'system' in message['run'] else RunRequest
+                self._requests.put(typed(kind, message['run']))
             else:
                 self._interrupted = True
                 self._requests.put(None)

@@ -11,7 +11,6 @@ import json
 import sys
 import threading
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.processes.child import module_command
@@ -50,18 +49,18 @@ def audit_command(campaign: CampaignOptions, system: System) -> list[str]:
 
 def worker_command(options: GraphOptions) -> list[str]:
     """Command line of a worker with a graph, in a folder that exists."""
-    values = {**options.to_json(), 'out': str(options.out), 'make_out': False}
+    values = {**dataclasses.asdict(options), 'out': str(options.out), 'make_out': False}
     return module_command('taxinet_ros.nodes.graph.worker', f'--options={json.dumps(values)}')
 
 
 def _work(values: dict[str, Any], link: Link) -> None:
     import cv2
 
-    from taxinet_ros.core.system import system_values
+    from taxinet_ros.files.plain_values import typed
     from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
     cv2.setNumThreads(1)  # the workers share the cores
-    options = GraphOptions(**{**system_values(values), 'out': Path(values['out'])})
+    options = typed(GraphOptions, values)
     end = threading.Event()
     with composed_graph(options) as graph:
         link.interrupt = graph.interrupt

@@ -17,6 +17,7 @@ from typing import Any, Self
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.core.provenance import Provenance, begun_elsewhere, provenance
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.files.record import (
     RECORD_NAME,
     Entries,
@@ -137,8 +138,7 @@ def read_stages(out: Path) -> dict[str, StageRecord]:
 
 def _stages_of(entries: Entries) -> dict[str, StageRecord]:
     return {
-        name: StageRecord(**{**values, 'stacks': tuple(values['stacks'])})
-        for name, values in entries.get(STAGE, {}).items()
+        name: typed(StageRecord, values) for name, values in entries.get(STAGE, {}).items()
     }
 
 
@@ -197,7 +197,8 @@ def state_of(stage: Stage, records: Stages, out: Path) -> State:
         UsageError: a program, an experiment or a network cannot be read.
     """
     record = records.get(stage.name, StageRecord())
-    there = _is_not_empty(out / stage.name)
+    folder = out / stage.name
+    there = folder.is_dir() and any(folder.iterdir())
     if not stage.ready(out):
         return State.STALE if there else State.OPEN
     if record.key and record.key == stage.key(out) and stage.results(out) == record.outputs:
@@ -213,10 +214,6 @@ def can_resume(folder: Path) -> bool:
         is_campaign(place) or is_begun(place)
         for place in (folder, *folder.glob('*/'))
     )
-
-
-def _is_not_empty(folder: Path) -> bool:
-    return folder.is_dir() and any(folder.iterdir())
 
 
 def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str:
