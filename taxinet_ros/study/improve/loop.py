@@ -240,7 +240,10 @@ def _round(
     def judged(what: str) -> Sequence[RunRow]:
         return open_campaign(out / _name(number, what)).judged
 
-    run_stages([_search(options, number, incumbent)])
+    run_stages([_campaign(
+        options, _name(number, 'falsify'), incumbent, options.seed_of(number, FALSIFY),
+        options.sampler,
+    )])
     found = judged('falsify')
     failed = sum(row.outcome is Outcome.FAIL for row in found)
     before = load_model(out / incumbent).fingerprint
@@ -254,16 +257,10 @@ def _round(
         candidate=load_model(out / _candidate(number)).fingerprint,
         decision=decide(
             judged('incumbent'), judged('candidate'), options.alpha, margin=options.margin,
-            place_margin=options.place_margin, causes=_regions(analysis['causes']),
+            place_margin=options.place_margin, causes=[
+                Region(parts=tuple(map(part_of, cause['region']))) for cause in analysis['causes']
+            ],
         ),
-    )
-
-
-def _search(options: ImproveOptions, number: int, incumbent: str) -> Stage:
-    """Stage that searches for failures of the incumbent."""
-    return _campaign(
-        options, _name(number, 'falsify'), incumbent, options.seed_of(number, FALSIFY),
-        options.sampler,
     )
 
 
@@ -307,10 +304,6 @@ def _candidate(number: int) -> str:
 
 def _words(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     return tuple(str(entry['words']) for entry in entries)
-
-
-def _regions(causes: Sequence[Mapping[str, Any]]) -> list[Region]:
-    return [Region(parts=tuple(map(part_of, cause['region']))) for cause in causes]
 
 
 def _copy(weights: Path, to: Path) -> None:

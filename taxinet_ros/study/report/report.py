@@ -256,14 +256,11 @@ def _experiments(found: StudyFindings) -> Iterator[Picture]:
 
 def _pairs_table(found: StudyFindings) -> Table:
     names = [str(name) for name in found.pairs if str(name).endswith('_p')]
-    frame = found.pairs.assign(**{name: found.pairs[name].map(_pair_p_words) for name in names})
+    frame = found.pairs.assign(**{name: found.pairs[name].map(
+        lambda p: f'{p:.4f}' if p >= _LEAST_P else f'<{_LEAST_P:.4f}') for name in names})
     return table_of(
         frame, 'pairs', 'Differences', 'Of the second less the first in points, with 95 % '
         "intervals for pairs (Newcombe), and McNemar's exact test.", PAIR_COLUMNS)
-
-
-def _pair_p_words(value: float) -> str:
-    return f'{value:.4f}' if value >= _LEAST_P else f'<{_LEAST_P:.4f}'
 
 
 def _stage_tables(found: StudyFindings) -> tuple[Table, ...]:
@@ -303,20 +300,20 @@ def study_values(found: StudyFindings) -> dict[str, Any]:
         'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
         'made_on': dict(provenance()),
         'config': dataclasses.asdict(found.config), 'summary': list(study_report(found).summary),
-        'claims': [_claim(claim) for claim in found.claims],
+        'claims': [
+            {
+                'name': claim.name, 'statement': claim.statement, 'source': claim.source,
+                'verdict': claim.verdict.name.lower(), 'p': claim.p_value,
+                'evidence': claim.evidence,
+            }
+            for claim in found.claims
+        ],
         **{name: _records(frame) for name, frame in found.frames().items()},
         'localized': _localized(found.results),
         'experiments': {
             name: values['comparisons'] for name, values in found.results.experiments.items()
         },
     })
-
-
-def _claim(claim: Claim) -> dict[str, str | float]:
-    return {
-        'name': claim.name, 'statement': claim.statement, 'source': claim.source,
-        'verdict': claim.verdict.name.lower(), 'p': claim.p_value, 'evidence': claim.evidence,
-    }
 
 
 def _localized(results: Results) -> dict[str, Any] | None:

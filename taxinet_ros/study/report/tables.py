@@ -194,31 +194,42 @@ def _median(values: np.ndarray) -> float:
 
 def stages_frame(found: Sequence[Stage], records: Stages) -> pd.DataFrame:
     """One row per stage; ``done`` is False if the log has no end event of it."""
-    return pd.DataFrame([
-        _stage_line(stage, records.get(stage.name, StageRecord())) for stage in found
-    ])
-
-
-def _stage_line(stage: Stage, record: StageRecord) -> dict[str, Any]:
-    facts = record.facts if record.key else {}
-    return {
-        'stage': stage.name, 'done': bool(record.key), 'runs': stage.runs,
-        'wall_s': record.wall_s if record.sittings else None, 'sittings': record.sittings,
-        'at_least': record.killed, 'cores': facts.get('cores'), 'workers': facts.get('workers'),
-        'date': facts.get('date', ''), 'version': facts.get('version', ''),
-        'skipped': record.skipped, 'command': shlex.join(['taxinet', *stage.words()]),
-    }
+    lines = []
+    for stage in found:
+        record = records.get(stage.name, StageRecord())
+        facts = record.facts if record.key else {}
+        lines.append({
+            'stage': stage.name, 'done': bool(record.key), 'runs': stage.runs,
+            'wall_s': record.wall_s if record.sittings else None, 'sittings': record.sittings,
+            'at_least': record.killed, 'cores': facts.get('cores'), 'workers': facts.get('workers'),
+            'date': facts.get('date', ''), 'version': facts.get('version', ''),
+            'skipped': record.skipped, 'command': shlex.join(['taxinet', *stage.words()]),
+        })
+    return pd.DataFrame(lines)
 
 
 _PERCENT = 100
 Columns = tuple[tuple[str, str, int | None, bool], ...]
 """Name in the data frame, title, digits, and whether it is a share displayed in percent."""
+
+
+def _share_columns(
+    name: str, title: str, ends: tuple[str, str] = ('low', 'high'),
+    words: tuple[str, str] = ('from', 'to'),
+) -> Columns:
+    """A share and the ends of its interval."""
+    return (
+        (name, title, 1, True), (f'{name}_{ends[0]}', words[0], 1, True),
+        (f'{name}_{ends[1]}', words[1], 1, True),
+    )
+
+
 NETWORK_COLUMNS: Columns = (
     ('network', 'network', None, False), ('runs', 'runs', None, False),
-    ('satisfied', 'satisfied [%]', 1, True), ('satisfied_low', 'from', 1, True),
-    ('satisfied_high', 'to', 1, True), ('paper_satisfied', 'the paper [%]', 1, True),
-    ('off_runway', 'off the runway [%]', 1, True), ('off_runway_low', 'from', 1, True),
-    ('off_runway_high', 'to', 1, True), ('paper_off_runway', 'the paper [%]', 1, True),
+    *_share_columns('satisfied', 'satisfied [%]'),
+    ('paper_satisfied', 'the paper [%]', 1, True),
+    *_share_columns('off_runway', 'off the runway [%]'),
+    ('paper_off_runway', 'the paper [%]', 1, True),
 )
 MORE_COLUMNS: Columns = (
     ('network', 'network', None, False), ('median_rho', 'median ρ [m]', 2, False),
@@ -234,24 +245,18 @@ LEARNED_COLUMNS: Columns = (
     ('from_m', 'from [m]', 0, False), ('to_m', 'to [m]', 0, False),
     ('program', 'the program', 1, True),
     *(
-        column for sampler in ('ce', 'ce-verifai', 'mab') for column in (
-            (sampler, f'learned by {sampler}', 1, True), (f'{sampler}_least', 'least', 1, True),
-            (f'{sampler}_greatest', 'greatest', 1, True),
-        )
+        column for sampler in ('ce', 'ce-verifai', 'mab') for column in _share_columns(
+            sampler, f'learned by {sampler}', *2 * (('least', 'greatest'),))
     ),
-    ('of_failures', 'failures of random runs', 1, True), ('of_failures_low', 'from', 1, True),
-    ('of_failures_high', 'to', 1, True), ('weighted', 'failures that ce found, weighted', 1, True),
-    ('weighted_low', 'from', 1, True), ('weighted_high', 'to', 1, True),
+    *_share_columns('of_failures', 'failures of random runs'),
+    *_share_columns('weighted', 'failures that ce found, weighted'),
     ('paper', 'learned in the paper', 1, True),
 )
 PAIR_COLUMNS: Columns = (
     ('first', 'first', None, False), ('second', 'second', None, False),
     ('scenes', 'scenes', None, False),
-    ('satisfied_difference', 'satisfied', 1, True),
-    ('satisfied_difference_low', 'from', 1, True), ('satisfied_difference_high', 'to', 1, True),
-    ('satisfied_mcnemar_p', 'p', None, False),
-    ('off_runway_difference', 'off the runway', 1, True),
-    ('off_runway_difference_low', 'from', 1, True), ('off_runway_difference_high', 'to', 1, True),
+    *_share_columns('satisfied_difference', 'satisfied'), ('satisfied_mcnemar_p', 'p', None, False),
+    *_share_columns('off_runway_difference', 'off the runway'),
     ('off_runway_mcnemar_p', 'p', None, False),
 )
 
@@ -261,8 +266,8 @@ def binned_columns(unit: str, digits: int) -> Columns:
     return (
         ('network', 'network', None, False), (f'from_{unit}', f'from [{unit}]', digits, False),
         (f'to_{unit}', f'to [{unit}]', digits, False), ('runs', 'runs', None, False),
-        ('satisfied', 'satisfied [%]', 1, True), ('satisfied_low', 'from', 1, True),
-        ('satisfied_high', 'to', 1, True), ('off_runway', 'off the runway [%]', 1, True),
+        *_share_columns('satisfied', 'satisfied [%]'),
+        ('off_runway', 'off the runway [%]', 1, True),
         ('median_rho', 'median ρ [m]', 2, False),
     )
 

@@ -343,22 +343,15 @@ def _line(*words: Any) -> str:
     return shlex.join(['taxinet', *map(str, words)])
 
 
-def _interval(share: Rate) -> str:
-    return f'95 % interval {100 * share.low:.0f}–{100 * share.high:.0f} %'
-
-
 _NOT_DONE = {
     'causes': 'No cause can be named:', 'localize': 'Whose fault it is was not examined:',
     'explain': 'The pictures were not examined:', 'shrink': 'The run was not shrunk:',
     'confirm': 'No experiment was made:',
 }
-
-
-def _not_done(stage: str) -> str:
-    return _NOT_DONE.get(stage.partition('-')[0], f'{stage} was not done:')
-
-
-environment(_FOLDER).filters.update(interval=_interval, stage=_not_done)
+environment(_FOLDER).filters.update(
+    interval=lambda share: f'95 % interval {100 * share.low:.0f}–{100 * share.high:.0f} %',
+    stage=lambda stage: _NOT_DONE.get(stage.partition('-')[0], f'{stage} was not done:'),
+)
 
 
 _PAGE = Path(__file__).with_name('page.j2')
@@ -395,7 +388,11 @@ def why_report(
             'subject': Path(evidence.subject).name, 'tested': bool(tested.rows),
             'links': {**links, 'stages': _links(out, _STAGE_PAGES)},
         },
-        {'sure': (tested,), 'others': (_others(evidence),)},
+        {'sure': (tested,), 'others': (Table(
+            name='others', title='Runs without a verdict', caption='',
+            columns=(Column(name='outcome', title='outcome'), Column(name='runs', title='runs')),
+            rows=tuple(evidence.others.items()),
+        ),)},
         runs=bags, worst=next(iter(bags), ''),
         worst_words='The run' if evidence.single else (
             'The worst run of the first cause' if causes and causes[0].rank else 'The worst run'),
@@ -440,14 +437,6 @@ def _paired_row(cause: CauseEvidence, paired: Paired, evidence: Evidence) -> tup
         f'{where}: satisfied {paired.words}, before {paired.before}', paired.after, paired.scenes,
         100 * paired.difference, 100 * paired.low, 100 * paired.high,
         p_words(paired.p).removeprefix('p ').removeprefix('= '),
-    )
-
-
-def _others(evidence: Evidence) -> Table:
-    return Table(
-        name='others', title='Runs without a verdict', caption='',
-        columns=(Column(name='outcome', title='outcome'), Column(name='runs', title='runs')),
-        rows=tuple(evidence.others.items()),
     )
 
 

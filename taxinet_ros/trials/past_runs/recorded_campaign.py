@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,8 +17,10 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
-from taxinet_ros.core.pacing.timing import Timing, parse_timing
+from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.system import System
+from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -196,22 +198,16 @@ def scenario_of_row(
 _NO_FACTS: Mapping[str, Any] = {}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class JudgedRun:
-    """One run.
+@dataclass(frozen=True, kw_only=True)
+class JudgedRun(System):
+    """One run, by a system as it reported itself; its timing has the run's own draws.
 
     Attributes:
         run_id, seed, scenario: as requested.
         specs: formulas as text, the headline first.
         outcome: how it ended.
         robustness: robustness by name of the formula.
-        perception, fingerprint: the swap word or network's file, and the hash of the weights.
-        gains: steering gains that differ from the defaults.
-        controller, controller_fingerprint: name of the controller, as it reported itself if
-            unknown, and its reported hash.
-        timing: when answers took effect, with the run's own draws.
-        world, world_fingerprint: name of its world, and the hash of the package that provides it,
-            or ''.
+        fingerprint: hash of the perception's weights.
     """
 
     run_id: str
@@ -220,14 +216,7 @@ class JudgedRun:
     specs: tuple[str, ...]
     outcome: Outcome
     robustness: Mapping[str, RobustnessInterval]
-    perception: str
     fingerprint: str
-    gains: Mapping[str, float]
-    controller: str
-    controller_fingerprint: str
-    timing: Timing
-    world: str = KMWH
-    world_fingerprint: str = ''
 
     @property
     def headline(self) -> str:
@@ -295,9 +284,9 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
         controller=_controller(facts, run.controller),
-        controller_fingerprint=run.controller_fingerprint,
+        controller_sha256=run.controller_fingerprint,
         timing=run.timing.of_run(run.request.seed, run.request.index),
-        world=run.world or KMWH, world_fingerprint=run.world_fingerprint,
+        world=run.world or KMWH, world_sha256=run.world_fingerprint,
     )
 
 
@@ -318,10 +307,35 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
         outcome=row.outcome, robustness=row.robustness, perception=row.perception,
         fingerprint=row.fingerprint, gains=facts.get('gains', {}),
         controller=_controller(facts, ''),
-        controller_fingerprint=str(facts.get('controller_sha256', '')),
+        controller_sha256=str(facts.get('controller_sha256', '')),
         timing=parse_timing(row.timing).of_run(row.seed, row.index),
-        world=world, world_fingerprint=package,
+        world=world, world_sha256=package,
     )
+
+
+def check_unchanged(
+    role: str, word: str, find: Callable[[], str], recorded: str, fix: str
+) -> None:
+    """Check that the network or controller of recorded runs is here, and still that of the runs.
+
+    Args:
+        role: ``perception`` or ``controller``.
+        word: its word or file; of a node that runs elsewhere nothing is known.
+        find: gives its hash here.
+        recorded: its hash in the runs.
+        fix: what to do otherwise.
+
+    Raises:
+        UsageError: it is not.
+    """
+    try:
+        found = find()
+    except UsageError as error:
+        raise UsageError(f'{error}; {fix}') from error
+    if found != recorded and not is_node_elsewhere(word):
+        now, before = (f'sha256 {one[:12]}…' if one else 'without weights'
+                       for one in (found, recorded))
+        raise UsageError(f'{role} {word} is {now} here, and was {before} in the runs; {fix}')
 
 
 def _example(campaign: Path) -> str:
@@ -446,7 +460,10 @@ class BagPlaces:
         if not is_campaign(campaign):
             return
         if campaign not in self._records:
-            self._records[campaign] = _content(campaign)
+            try:
+                self._records[campaign] = read_campaign(campaign)
+            except UsageError:  # a bag can be read without its record
+                self._records[campaign] = CampaignContent()
         record = self._records[campaign]
         recording = _open_bag(bag) if isinstance(bag, Path) else bag
         for row in record.rows:
@@ -459,11 +476,3 @@ class BagPlaces:
                 f'{path}: is not the bag of its run: its run_id is {told.run_id}; '
                 f'taxinet doctor {folder.parent} checks all of them'
             )
-
-
-def _content(folder: Path) -> CampaignContent:
-    """Content of a campaign's record; empty if damaged, as a bag can be read without it."""
-    try:
-        return read_campaign(folder)
-    except UsageError:
-        return CampaignContent()

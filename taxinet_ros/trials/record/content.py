@@ -184,16 +184,7 @@ def _real_time_factor(columns: pa.Table) -> pa.ChunkedArray:
 
 
 def _columns(texts: Sequence[str], names: Sequence[str], rest: str) -> pa.Table:
-    """Columns of some rows; each number is the double nearest to its text, as in Python.
-
-    Args:
-        texts: the rows.
-        names: plain columns.
-        rest: whether to ``ignore`` or ``infer`` what else the rows have.
-
-    Raises:
-        ArrowException, ValueError: a row has something else than :meth:`RunRow.to_json` writes.
-    """
+    """Plain columns of some rows; what else they have is ignored, or inferred, by ``rest``."""
     import pyarrow as pa
     import pyarrow.json
 

@@ -22,13 +22,10 @@ from rich.text import Text
 
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
-from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.trials.engine import Engine, Proposer, with_workers
 from taxinet_ros.trials.options import (
@@ -38,7 +35,7 @@ from taxinet_ros.trials.options import (
     make_options,
     new_folder,
 )
-from taxinet_ros.trials.past_runs.recorded_campaign import JudgedRun, find_run
+from taxinet_ros.trials.past_runs.recorded_campaign import JudgedRun, check_unchanged, find_run
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import facts_of_runs
 from taxinet_ros.trials.record.row import RunRow
@@ -175,34 +172,35 @@ def make_shrinking(
     if runs < LEAST_ASKED:
         raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
     run = find_run(path)
-    _check_repeatable(path, run)
+    if why := run.not_again:
+        raise UsageError(
+            f'{path}: {why}, so nothing tells a scenario that matters from chance; shrink a run '
+            'in lockstep'
+        )
     _check_failed(path, run, other_specs=bool(specs))
     space = make_shrink_space(run.scenario, nominal)
     if out is None and not resume:
         out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
+    if perception is None:
+        perception = run.perception
+        check_unchanged(
+            'perception', perception, lambda: check_perception(run.perception, graph=True),
+            run.fingerprint, 'say with --perception where it is, or to take it as it is',
+        )
+    if not controller:
+        controller = run.controller
+        check_unchanged(
+            'controller', controller, lambda: check_controller(run.controller, graph=True),
+            run.controller_sha256, 'say with --controller what to steer with',
+        )
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, out=out, images=images, resume=resume,
-        perception=_perception(run) if perception is None else perception,
-        controller=controller or _controller(run), specs=specs or run.specs, world=run.world,
+        perception=perception, controller=controller, specs=specs or run.specs, world=run.world,
         **others,
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     campaign = dataclasses.replace(campaign, gains=gains, timing=run.timing)
     return Shrinking(run, space, with_workers(campaign, workers, cluster))
-
-
-def _check_repeatable(path: Path, run: JudgedRun) -> None:
-    why = f'a free run: {NOT_REPRODUCIBLE}' if run.timing.free else ''
-    way_out = '; shrink a run that failed with --latency' if why else ''
-    if not why:
-        try:
-            why = find_world(run.world, run.world_fingerprint).again_words
-        except UsageError as error:
-            raise UsageError(f'{run.run_id}: {error}') from error
-    if why:
-        raise UsageError(
-            f'{path}: {why}, so nothing tells a scenario that matters from chance{way_out}'
-        )
 
 
 def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
@@ -216,37 +214,6 @@ def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
             f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
             'failed, or with --spec what it failed'
         )
-
-
-def _perception(run: JudgedRun) -> str:
-    """The perception that failed."""
-    try:
-        now = check_perception(run.perception, graph=True)
-    except UsageError as error:
-        raise UsageError(f'{run.run_id}: {error}; say with --perception where it is') from error
-    if now != run.fingerprint and not is_node_elsewhere(run.perception):
-        raise UsageError(
-            f'{run.run_id}: perception {run.perception} is {now[:12] or "without weights"} now, it '
-            f'was {run.fingerprint[:12] or "without weights"}; --perception {run.perception} takes '
-            'it as it is'
-        )
-    return run.perception
-
-
-def _controller(run: JudgedRun) -> str:
-    """Controller of the failed run."""
-    try:
-        now = check_controller(run.controller, graph=True)
-    except UsageError as error:
-        raise UsageError(
-            f'{run.run_id}: {error}; say with --controller what to steer with'
-        ) from error
-    if now != run.controller_fingerprint and not is_node_elsewhere(run.controller):
-        raise UsageError(
-            f'{run.run_id}: controller {run.controller} is {now[:12]} now, it was '
-            f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
-        )
-    return run.controller
 
 
 def _key(scene: Mapping[str, Any]) -> str:

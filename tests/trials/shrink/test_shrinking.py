@@ -316,7 +316,8 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         {'outcome': Outcome.REJECTED, 'distance_m': None}, {}, 'no scene was drawn'),
     'other weights': (
         {'fingerprint': 'ab' * 32}, {},
-        'truth is without weights now, it was abababababab; --perception truth'),
+        'truth is without weights here, and was sha256 abababababab… in the runs; say with '
+        '--perception where it is'),
     'lost file': ({'perception': 'gone.onnx'}, {}, 'say with --perception where it is'),
 }
 
