@@ -35,8 +35,8 @@ from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
 from taxinet_ros.files.record import RECORD_NAME, read_record
 from taxinet_ros.processes.child import ChildProcess
 from taxinet_ros.trials.past_runs.trials import TRIAL
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.facts import ROW
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME, read_table
 
 HANG_S = 900.0

@@ -22,12 +22,10 @@ from taxinet_ros.scenes.source import Refused, Rejected, program_text
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.rates import failure_rate
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS, RunRow
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.sequential import decision
-from taxinet_ros.trials.stop import StopRule
+from taxinet_ros.trials.sequential import StopRule, decision
 
 SPACE = SearchSpace(choices=tuple(
     Choice(dimension=Dimension(name=name), feeds=frozenset({name})) for name in ('x', 'y')

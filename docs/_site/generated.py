@@ -23,8 +23,7 @@ from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.core import topics
 from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, Kind, ScenarioField
 from taxinet_ros.nodes.running.parameters import Parameter
-from taxinet_ros.trials.record.columns import ATTRIBUTES
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import ATTRIBUTES, RunRow
 from taxinet_ros.trials.record.table import table
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,7 +17,7 @@ from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.control_step import Observation, last_step
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.samplers.registry import proposer_kind
-from taxinet_ros.samplers.sampler import Option
+from taxinet_ros.samplers.sampler import Option, Proposer
 
 STEP_S, STEP_NS = 0.1, 100_000_000
 METRES_PER_PIXEL, RAD_PER_PIXEL = 0.04, 0.004
@@ -52,7 +52,7 @@ class Damped:
         return min(max(steering_rad, -0.2), 0.2), 5.0
 
 
-class Corners:
+class Corners(Proposer):
     """Proposes points near random ends of all dimensions."""
 
     def __init__(self, space, seed, width):
@@ -64,15 +64,6 @@ class Corners:
         return self.space.point(ends + self.width * self.chance.random(len(self.space)))
 
     again = ask
-
-    def tell(self, index, rho):
-        """Ignore the result; this sampler does not learn."""
-
-    def weight(self, index):
-        return None
-
-    def learned(self):
-        return {}
 
 
 CORNERS = proposer_kind(

@@ -11,8 +11,9 @@ from typing import Any
 
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
+from taxinet_ros.core.pacing.timing import AT_ONCE, NOT_REPRODUCIBLE, Timing
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.world import find_world
 from taxinet_ros.registry import KMWH
 from taxinet_ros.version import __version__
 
@@ -56,14 +57,21 @@ class System:
             self.world, self.world_sha256,
         ])
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values of the system and of what a subclass adds, if that is plain."""
-        return {**dataclasses.asdict(self), 'timing': self.timing.words}
+    def alone(self, **changes: Any) -> System:
+        """The system without what a subclass adds, and with some fields changed."""
+        own = {each.name: getattr(self, each.name) for each in dataclasses.fields(System)}
+        return System(**{**own, **changes})
 
+    @property
+    def not_again(self) -> str:
+        """Why its runs cannot be made again; '' if they can.
 
-def system_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a system from their plain values; others are left as they are."""
-    return {**values, 'timing': parse_timing(values['timing'])}
+        Raises:
+            UsageError: its world is not here, or is of another package.
+        """
+        if self.timing.free:
+            return NOT_REPRODUCIBLE
+        return find_world(self.world, self.world_sha256).again_words
 
 
 def digest_of(values: Any) -> str:

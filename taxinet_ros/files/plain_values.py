@@ -9,19 +9,32 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import functools
 import json
 import math
 import re
 import reprlib
+import types
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeGuard, cast, overload
+from typing import (
+    Any,
+    TypeGuard,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 import yaml
 
 from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.files.reading import read_file
 
+_Typed = TypeVar('_Typed')
 MAX_DEPTH = 100
 """Limit of nested lists and mappings in YAML."""
 MAX_BYTES = 1 << 20
@@ -60,6 +73,46 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def typed(kind: type[_Typed], values: Mapping[str, Any]) -> _Typed:
+    """A dataclass from what :func:`dataclasses.asdict` gives of it, also by way of JSON.
+
+    Args:
+        kind: the dataclass; of the fields' types, tuples, named tuples, sets, mappings, enums,
+            paths and dataclasses are known, each perhaps None; other values stay as they are.
+        values: its fields.
+
+    Raises:
+        TypeError, ValueError, LookupError: a field is missing, unknown or of another form.
+    """
+    hints = _hints(cast(Any, kind))
+    return kind(**{name: _typed(hints.get(name), value) for name, value in values.items()})
+
+
+@functools.cache
+def _hints(kind: type) -> Mapping[str, Any]:
+    return get_type_hints(kind)
+
+
+def _typed(hint: Any, value: Any) -> Any:
+    origin, parts = get_origin(hint), get_args(hint)
+    if value is None:
+        return None
+    if origin in (Union, types.UnionType):
+        return _typed(parts[0], value)
+    if origin is tuple:
+        kinds = parts[:1] * len(value) if parts[1:] == (...,) else parts
+        return tuple(_typed(kind, one) for kind, one in zip(kinds, value, strict=True))
+    if origin is Mapping:
+        return {key: _typed(parts[1], one) for key, one in value.items()}
+    if dataclasses.is_dataclass(hint):
+        return typed(cast('type[Any]', hint), value)
+    if hasattr(hint, '_fields'):
+        return hint(*map(_typed, _hints(hint).values(), value))
+    found = origin or hint
+    plain_types = isinstance(found, type) and issubclass(found, enum.Enum | Path | frozenset)
+    return found(value) if plain_types else value
 
 
 def json_text(value: Any) -> str:

@@ -14,7 +14,7 @@ from taxinet_ros.samplers.gaussian_process import (
     squared_distances,
 )
 from taxinet_ros.samplers.histogram import Floats
-from taxinet_ros.samplers.sampler import Probabilities
+from taxinet_ros.samplers.sampler import Proposer
 from taxinet_ros.samplers.space import Point, Space, prior_point, run_generator
 
 WINDOW = 300
@@ -48,7 +48,7 @@ CEILING = 3.0
 """Robustness is clipped at this multiple of the median passing robustness."""
 
 
-class ActiveSearch:
+class ActiveSearch(Proposer):
     """Chooses the point most likely to be a failure unlike the known ones.
 
     Finding as many members of a rare class as possible is active search (Garnett et al., Bayesian
@@ -127,13 +127,6 @@ class ActiveSearch:
         """Record the result of a point that this sampler did not propose."""
         self._learn(self._keep(point), rho)
 
-    def weight(self, index: int) -> None:
-        """None: the density is unknown."""
-
-    def learned(self) -> Probabilities:
-        """Empty: nothing is learned per dimension."""
-        return {}
-
     def _next(self) -> Point:
         run = len(self._asked) - 1
         if self._attempt > PATIENCE:
@@ -166,7 +159,7 @@ class ActiveSearch:
         """Quantiles of the next point."""
         results = np.array([self._results[number] for number in self._window])
         # If all results are equal, only distance can guide the search.
-        if len(self._quantiles) < self._startup or len(set(results)) < 2:
+        if len(self._quantiles) < 8 + 2 * len(self._space) or len(set(results)) < 2:
             return self._farthest(chance)
         scaled = _scaled(results)
         known = self._features.rows(self._window)
@@ -178,11 +171,6 @@ class ActiveSearch:
         predict = self._process.conditioned(known, scaled, others)
         score = self._score(predict, others, spread=run % 2 == 1)
         return self._highest(score, chance)
-
-    @property
-    def _startup(self) -> int:
-        """Number of points before the process is used."""
-        return 8 + 2 * len(self._space)
 
     def _farthest(self, chance: np.random.Generator) -> Floats:
         """The draw that is farthest from all points (best candidate; Mitchell, SIGGRAPH 1991)."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from taxinet_ros.samplers.sampler import Probabilities
+from taxinet_ros.samplers.sampler import Proposer
 from taxinet_ros.samplers.space import IDLE, Point, Space, run_generator
 
 Cells = tuple[int, ...]
@@ -55,7 +55,7 @@ class Reach:
     unseen: tuple[tuple[tuple[int, ...], Cells], ...]
 
 
-class Covering:
+class Covering(Proposer):
     """Proposes the point whose scene has the most combinations with the fewest runs.
 
     A run without a result covers nothing, so its combinations are wanted again.
@@ -111,14 +111,6 @@ class Covering:
     def add(self, point: Point, rho: float) -> None:
         """Count a run that the program itself drew."""
         self._count(self._cells(point), 1)
-
-    def weight(self, index: int) -> float | None:
-        """None: the density of its points is unknown."""
-        return None
-
-    def learned(self) -> Probabilities:
-        """Empty: nothing is learned."""
-        return {}
 
     def reach(self) -> Reach:
         """How far the search has come."""
@@ -240,13 +232,7 @@ class Covering:
     def _cross(
         self, parents: Sequence[int], chance: np.random.Generator, keep: float | None = None
     ) -> Point:
-        """A point with each coordinate from one of its parents, a little moved.
-
-        Args:
-            parents: numbers of points of the pool.
-            chance: random numbers.
-            keep: share of coordinates from the first parent; None for equal shares.
-        """
+        """A point with each coordinate from one parent, moved; ``keep``: share of the first one."""
         count, width = len(parents), len(self._space)
         shares = None if keep is None else [keep, *[(1 - keep) / (count - 1)] * (count - 1)]
         whose = chance.choice(count, size=width, p=shares)

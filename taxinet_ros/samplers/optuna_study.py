@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from taxinet_ros.samplers.sampler import Probabilities
+from taxinet_ros.samplers.sampler import Proposer
 from taxinet_ros.samplers.space import (
     BELOW_ONE,
     IDLE,
-    Dimension,
     Point,
     Space,
     prior_point,
@@ -42,7 +41,7 @@ SEEDS = 1 << 32
 """Optuna's seeds are below this."""
 
 
-class StudySampler:
+class StudySampler(Proposer):
     """An Optuna study with one trial per run."""
 
     def __init__(self, space: Space, sampler: BaseSampler, *, conditional: bool) -> None:
@@ -125,13 +124,6 @@ class StudySampler:
                 value=rho, params=known, distributions=dict.fromkeys(known, unit),
             ))
 
-    def weight(self, index: int) -> None:
-        """None: the density is unknown."""
-
-    def learned(self) -> Probabilities:
-        """Empty: nothing is learned per dimension."""
-        return {}
-
 
 def tpe(space: Space, seed: int, *, startup: int) -> StudySampler:
     """Tree-structured Parzen estimator (Bergstra et al., NeurIPS 2011), all dimensions together.
@@ -201,7 +193,7 @@ PATIENCE = 8
 where the requirements fail, and might never leave such a region."""
 
 
-class Bayes:
+class Bayes(Proposer):
     """Optuna's Gaussian process (Matérn 5/2, log expected improvement) on a window of the results.
 
     Fitting cost grows with the cube of the points, so only the best and the latest are used. The
@@ -274,13 +266,6 @@ class Bayes:
         self._points.append(point)
         self._results[len(self._points) - 1] = rho
 
-    def weight(self, index: int) -> None:
-        """None: the density is unknown."""
-
-    def learned(self) -> Probabilities:
-        """Empty: nothing is learned per dimension."""
-        return {}
-
     def _improvement(self, index: int, attempt: int) -> Point:
         from optuna.samplers import GPSampler
 
@@ -313,15 +298,10 @@ class Bayes:
 
     def _params(self, point: Point) -> dict[str, float | int]:
         return {
-            each.name: self._constant(each) if quantile is None
+            each.name: (int(np.argmax(each.prior)) if each.discrete else 0.5) if quantile is None
             else each.bin(quantile) if each.discrete else quantile
             for each, quantile in zip(self._space, point, strict=True)
         }
-
-    @staticmethod
-    def _constant(dimension: Dimension) -> float | int:
-        """Value of a dimension while it is idle."""
-        return int(np.argmax(dimension.prior)) if dimension.discrete else 0.5
 
     def _point(self, params: Mapping[str, float | int]) -> Point:
         """The point of the parameters; a category maps to the middle of its interval."""

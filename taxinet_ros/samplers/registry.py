@@ -68,11 +68,7 @@ class SamplerKind:
 
 
 def _check_make(where: str, make: Callable[..., object]) -> None:
-    """Check how a sampler is made.
-
-    Raises:
-        UsageError: the factory takes other arguments.
-    """
+    """Check that a factory takes the arguments of :attr:`SamplerKind.make`."""
     if not can_be_called(make, 'space', 'seed', 'runs', 'values'):
         raise UsageError(f'{where}: its make cannot be called as make(space, seed, runs, values)')
 

@@ -27,19 +27,21 @@ class Exhausted(Exception):  # noqa: N818 (signals the end, not an error)
     """The sampler has no more points to propose."""
 
 
-class Sampler(Protocol):
-    """Proposes points, and may learn from their results.
+class Proposer(Protocol):
+    """Proposes points, and may learn from their results; it numbers its own runs.
 
-    A sampler's state is determined by its space, its seed and the calls made, so it is restored by
-    repeating the calls; no state is saved.
+    A proposer's state is determined by its space, its seed and the calls made, so it is restored by
+    repeating the calls; no state is saved. One that names this class as its base learns nothing and
+    knows no density unless it says so.
     """
 
     def ask(self) -> Point:
         """The point of the next run: run 0 at the first call, then 1, 2 and so on.
 
         Raises:
-            Exhausted: no points are left; the sampler is not called again.
+            Exhausted: no points are left; the proposer is not called again.
         """
+        ...
 
     def again(self) -> Point:
         """Another point for the last requested run.
@@ -51,6 +53,7 @@ class Sampler(Protocol):
         Raises:
             Exhausted: no points are left.
         """
+        ...
 
     def tell(self, index: int, rho: float | None) -> None:
         """Record the result of a run, in index order.
@@ -60,6 +63,7 @@ class Sampler(Protocol):
             rho: its robustness, a failure if 0 or less; None without a result (infrastructure
                 error, rejected, interrupted), from which nothing is learned.
         """
+        return
 
     def weight(self, index: int) -> float | None:
         """Density of the prior over that of the proposal, at the last point of run ``index``.
@@ -69,6 +73,15 @@ class Sampler(Protocol):
         the prior conditioned on the requirements, times the probability of accepting a point of the
         prior; so their self-normalised sums (weighted sum over sum of weights) converge to it.
         """
+        return None
+
+    def learned(self) -> Probabilities:
+        """Estimated failure histograms by the results so far; empty if there are none."""
+        return {}
+
+
+class Sampler(Proposer, Protocol):
+    """A proposer that says which of its runs were drawn from the prior."""
 
     def drawn(self, index: int) -> bool:
         """Whether the point of run ``index`` was drawn from the prior.
@@ -77,9 +90,7 @@ class Sampler(Protocol):
         index alone, never on a result. Rates are estimated from these runs only
         (:mod:`taxinet_ros.trials.rates`).
         """
-
-    def learned(self) -> Probabilities:
-        """Estimated failure histograms by the results so far; empty if the sampler has none."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -310,25 +321,6 @@ class Lagged:
 
 _STREAM = 1
 """Random stream that is independent of the sampler's own draws for a run."""
-
-
-class Proposer(Protocol):
-    """A sampler whose points cannot estimate a rate; it numbers its own runs."""
-
-    def ask(self) -> Point:
-        """The point of its next run."""
-
-    def again(self) -> Point:
-        """Another point for the last requested run; see :class:`Sampler`."""
-
-    def tell(self, index: int, rho: float | None) -> None:
-        """Record the result of one of its runs, in order; see :class:`Sampler`."""
-
-    def weight(self, index: int) -> float | None:
-        """Density of the prior over that of its proposal; None if unknown."""
-
-    def learned(self) -> Probabilities:
-        """Estimated failure histograms; empty if it has none."""
 
 
 @runtime_checkable

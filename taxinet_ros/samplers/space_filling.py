@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.samplers.sampler import Exhausted, Probabilities
+from taxinet_ros.samplers.sampler import Exhausted, Proposer, Sampler
 from taxinet_ros.samplers.space import (
     IDLE,
     Dimension,
@@ -32,27 +32,16 @@ BLOCK = 256
 """Number of points computed at once; a power of two, as Sobol sequences require."""
 
 
-class FromPrior:
-    """Common base: every weight is 1, and results are ignored."""
-
-    def tell(self, index: int, rho: float | None) -> None:
-        """Ignore the result."""
-
-    def weight(self, index: int) -> float:
-        """1: the point follows the prior."""
-        return 1.0
-
-    def learned(self) -> Probabilities:
-        """Empty: nothing is learned."""
-        return {}
-
-
-class Random(FromPrior):
+class Random(Sampler):
     """Independent draws: the point of run i depends only on the seed and i."""
 
     def drawn(self, index: int) -> bool:
         """True: every run is drawn from the prior."""
         return True
+
+    def weight(self, index: int) -> float:
+        """1: the point follows the prior."""
+        return 1.0
 
     def __init__(self, space: Space, seed: int) -> None:
         self._space = space
@@ -70,7 +59,7 @@ class Random(FromPrior):
         return prior_point(self._space, self._seed, self._index, self._attempt)
 
 
-class QuasiRandom(FromPrior):
+class QuasiRandom(Proposer):
     """Low-discrepancy points, each marginally uniform.
 
     A rejected point is replaced by an independent draw, because the next point of the sequence
@@ -92,6 +81,10 @@ class QuasiRandom(FromPrior):
         """An independent draw for the same run."""
         self._attempt += 1
         return prior_point(self._space, self._seed, self._index, self._attempt)
+
+    def weight(self, index: int) -> float:
+        """1: the point follows the prior."""
+        return 1.0
 
 
 def halton(space: Space, seed: int) -> QuasiRandom:
@@ -122,7 +115,7 @@ MOST_BRANCHES = 10_000
 """Most combinations of options that decide which other choices are made; one grid each."""
 
 
-class Grid:
+class Grid(Proposer):
     """The cells of a full grid, one run in the middle of each; it does not learn.
 
     A category counts as one cell regardless of its probability, so rare ones are tried as often as
@@ -177,25 +170,13 @@ class Grid:
             low + part * (high - low) for (low, high, _), part in zip(cells, within, strict=True)
         )
 
-    def tell(self, index: int, rho: float | None) -> None:
-        """Ignore the result."""
-
     def weight(self, index: int) -> float:
         """Probability of the point's cell under the prior over that in the grid."""
         return self._weights[index]
 
-    def learned(self) -> Probabilities:
-        """Empty: nothing is learned."""
-        return {}
-
 
 class _Subgrid:
-    """The grid of the choices made under one combination of options.
-
-    Attributes:
-        order: visiting order of its cells.
-        visits: number of visits so far.
-    """
+    """The grid of the choices made under one combination of options."""
 
     def __init__(
         self, space: Space, cells: list[list[Cell]], bins: tuple[int | None, ...], seed: int

@@ -15,7 +15,7 @@ from enum import StrEnum
 import numpy as np
 
 from taxinet_ros.samplers.histogram import Floats
-from taxinet_ros.samplers.sampler import Exhausted, Probabilities
+from taxinet_ros.samplers.sampler import Exhausted, Sampler
 from taxinet_ros.samplers.space import Point, Space, run_generator
 from taxinet_ros.samplers.subset_simulation import (
     KEEP,
@@ -125,14 +125,7 @@ def least_mean(values: Floats, tail: float) -> float:
 
 
 def _interval(found: Floats, hits: int, draws: int, *, plain: bool) -> tuple[float, float]:
-    """95 % interval of a probability.
-
-    Args:
-        found: the islands' estimates of it.
-        hits: what it is of among the draws of the program itself.
-        draws: their number.
-        plain: whether everything was drawn plainly.
-    """
+    """95 % interval of a probability, by the islands' estimates and by the program's own draws."""
     from scipy.special import betaincinv
 
     # That of Clopper and Pearson; campaign.rates has it too, but is no floor of the samplers.
@@ -201,7 +194,7 @@ def _curve(
     return tuple(curve)
 
 
-class Splitting:
+class Splitting(Sampler):
     """Subset simulation as a sampler; :meth:`estimate` tells what it found.
 
     A scene that the program's requirements refuse is a move that is not accepted; the run is then
@@ -271,16 +264,9 @@ class Splitting:
         if place is not None and index >= self._first:
             self._answers[place] = rho
 
-    def weight(self, index: int) -> None:
-        """None: the density is unknown."""
-
     def drawn(self, index: int) -> bool:
         """Whether the program itself drew a run, whatever the results: the first ones."""
         return index < self._plan.draws
-
-    def learned(self) -> Probabilities:
-        """Empty: nothing is learned per dimension."""
-        return {}
 
     def draws(self) -> tuple[int, int]:
         """How many of the planned draws have ended, and their number; call it after the last run.

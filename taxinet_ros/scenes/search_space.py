@@ -11,7 +11,8 @@ from statistics import NormalDist
 from typing import Any, NamedTuple, Self
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.samplers.space import Branch, Dimension, Point, Space, make_space
+from taxinet_ros.files.plain_values import typed
+from taxinet_ros.samplers.space import Dimension, Point, Space, make_space
 
 
 class Place(NamedTuple):
@@ -117,26 +118,8 @@ class Choice:
     options: tuple[Any, ...] = ()
     law: Law | None = None
 
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """The inverse of :meth:`to_json`, which the Scenic child's description is like."""
-        place = values['place']
-        dimension = values['dimension']
-        when = (Branch(parent, tuple(categories))
-                for parent, categories in dimension.get('when', ()))
-        return cls(
-            dimension=Dimension(
-                **{**dimension, 'weights': tuple(dimension['weights']), 'when': tuple(when)}
-            ),
-            feeds=frozenset(values['feeds']),
-            place=Place(*place) if place else None,
-            pieces=tuple(Piece(*piece) for piece in values['pieces']),
-            options=tuple(values['options'] or ()),
-            law=Law(**values['law']) if values.get('law') else None,
-        )
-
     def to_json(self) -> dict[str, Any]:
-        """Plain values; the inverse of :meth:`from_json` if the options are plain."""
+        """Plain values, for :func:`.plain_values.typed` if the options are plain."""
         return {**dataclasses.asdict(self), 'feeds': sorted(self.feeds)}
 
     def value(self, quantile: float) -> float | None:
@@ -193,7 +176,8 @@ class SearchSpace:
     @classmethod
     def from_json(cls, answer: Mapping[str, Any], overridden: Collection[str] = ()) -> Self:
         """The space described by the Scenic child, without choices that ``overridden`` keys fix."""
-        choices = [Choice.from_json(values) for values in answer['choices']]
+        choices = [typed(Choice, {**one, 'options': one['options'] or ()})
+                   for one in answer['choices']]
         fixed = frozenset(
             choice.dimension.name for choice in choices if choice.feeds <= set(overridden)
         )

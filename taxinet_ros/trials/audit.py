@@ -7,6 +7,7 @@ and result must be equal to the bit; a difference ends the campaign.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import shutil
@@ -25,7 +26,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.trials.options import AUDIT, AUDIT_FOLDER, LOOP
-from taxinet_ros.trials.worker_pool import WorkerPool, encode_line, result_to_json
+from taxinet_ros.trials.worker_pool import WorkerPool, encode_line
 
 _LOOK_S = 0.2
 _SILENCE_S = 60.0
@@ -151,7 +152,7 @@ def _first_difference(topics: Sequence[TopicComparison]) -> str:
 
 def result_difference(one: RunResult, other: RunResult) -> str:
     """Text on the first value in which two results differ, except for their time; '' if none."""
-    values = [json.loads(encode_line(result_to_json(result))) for result in (one, other)]
+    values = [json.loads(encode_line(dataclasses.asdict(result))) for result in (one, other)]
     for name in values[0]:
         texts = [json.dumps(each[name]) for each in values]  # as text, NaN equals NaN
         if name != 'wall_s' and texts[0] != texts[1]:

@@ -27,7 +27,7 @@ from taxinet_ros.files.record import RECORD_NAME, examine_record, no_writer, rea
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
 from taxinet_ros.trials.experiment import JSON_NAME as EXPERIMENT_NAME
 from taxinet_ros.trials.options import AUDIT_FOLDER
-from taxinet_ros.trials.past_runs.judged_run import bag_differences
+from taxinet_ros.trials.past_runs.recorded_campaign import bag_differences
 from taxinet_ros.trials.record.content import (
     AS_TEXT,
     CampaignContent,
@@ -333,20 +333,14 @@ def _check_sealed(place: Path, found: Examination) -> None:
             found.report(path, error, _RESUME)
             continue
         found.checked |= {place / name for name in sealed.files}
-        if path.name == EXPERIMENT_NAME:
-            _check_arms(place, sealed.values.get('arms'), found)
+        for arm in sealed.values.get('arms') or () if path.name == EXPERIMENT_NAME else ():
+            if not is_campaign(place / arm):
+                found.report(place / arm, 'is an arm of the experiment, but no campaign', _RESUME)
         for name, digest in sealed.files.items():
             if not (place / name).is_file():
                 found.report(place / name, f'is missing, but listed in {path.name}', _RESUME)
             elif file_sha256(place / name) != digest:
                 found.report(place / name, f'is not the file recorded in {path.name}', _RESUME)
-
-
-def _check_arms(place: Path, arms: Any, found: Examination) -> None:
-    """Check that the arms of an experiment are there."""
-    for arm in arms if isinstance(arms, dict) else ():
-        if not is_campaign(place / arm):
-            found.report(place / arm, 'is an arm of the experiment, but no campaign', _RESUME)
 
 
 def _check_pictures(place: Path, found: Examination) -> None:

@@ -87,7 +87,8 @@ def learned_program(
             edits.append(edit)
     if left and not edits:
         raise UsageError(left[0])
-    start = _end_of_docstring(source)
+    docstring = _DOCSTRING.match(source)
+    start = docstring.end() if docstring else 0
     if left:
         origin = '\n'.join([origin.rstrip(), '', 'Left as the program has them:', *left])
     return _head(program, source, origin) + text.rewrite(start, len(source), edits), tuple(left)
@@ -125,11 +126,7 @@ class _Text:
         return tuple(weight / total for weight in weights)
 
     def refuse_resampled(self, choice: Choice, space: SearchSpace) -> None:
-        """Refuse ``resample(x)``: it would draw from the replacement of ``x``.
-
-        Raises:
-            UsageError: the program resamples this choice.
-        """
+        """Refuse ``resample(x)``: it would draw from the replacement of ``x``."""
         for other in space.choices:
             place = other.place
             if place is None or other is choice or Path(place.file).resolve() != self.program:
@@ -333,11 +330,6 @@ def _offsets(call: str, node: ast.expr) -> tuple[int, int]:
 
 def _line_starts(text: str) -> list[int]:
     return [0, *(match.end() for match in re.finditer('\n', text))]
-
-
-def _end_of_docstring(source: str) -> int:
-    match = _DOCSTRING.match(source)
-    return match.end() if match else 0
 
 
 def _head(program: Path, source: str, origin: str) -> str:

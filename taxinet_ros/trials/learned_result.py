@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
 from taxinet_ros.samplers.sampler import Probabilities
 from taxinet_ros.scenes.search_space import Choice
@@ -43,16 +44,6 @@ class Evidence:
     def failures(self) -> float:
         """Effective number of failures drawn by the program itself (Kish, 1965)."""
         return sum(self.amounts) ** 2 / sum(self.squares) if sum(self.squares) else 0.0
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read it as :func:`dataclasses.asdict` gives it."""
-        heaviest = values['heaviest']
-        return cls(
-            amounts=tuple(map(float, values['amounts'])),
-            squares=tuple(map(float, values['squares'])),
-            heaviest=None if heaviest is None else float(heaviest),
-        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -94,7 +85,10 @@ class LearnedResult:
         try:
             values = read_sealed(path).values
             dimensions = values['dimensions']
-            choices = tuple(Choice.from_json(dimension) for dimension in dimensions)
+            names = {field.name for field in dataclasses.fields(Choice)}
+            choices = tuple(
+                typed(Choice, {name: one[name] for name in names}) for one in dimensions
+            )
             return cls(
                 facts=dict(values['facts']), choices=choices,
                 probabilities={
@@ -102,7 +96,7 @@ class LearnedResult:
                     for choice, dimension in zip(choices, dimensions, strict=True)
                 },
                 evidence={
-                    choice.dimension.name: Evidence.from_json(evidence)
+                    choice.dimension.name: typed(Evidence, evidence)
                     for choice, dimension in zip(choices, dimensions, strict=True)
                     if (evidence := dimension['evidence'])
                 },

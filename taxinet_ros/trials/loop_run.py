@@ -14,9 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.rewrite.frames import restore_in_place
 from taxinet_ros.bag.run.run_bag import MIN_FREE_BYTES, RunBag, RunEnding, node_words
@@ -28,11 +25,9 @@ from taxinet_ros.core.motion.controller import Controller, SteeringGains
 from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
-from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.system import System
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Outcome, RunRequest, RunResult, outcome_of
 from taxinet_ros.core.world import ChosenWorld, World, close_world, find_world
@@ -271,102 +266,63 @@ class _InterruptedError(Exception):
     """The run is to end at this step."""
 
 
-class _Watched:
-    """The parts of one run; each failure names the node of the graph that has the part.
+class _Part:
+    """A part of a run: its failures name the node of the graph that has the part."""
 
-    Attributes:
-        perception, controller: the parts.
-        now: observation of the current control step, or None before the first.
-        estimate: estimate of the current step, or None.
-        complete: whether the current step is complete.
-    """
+    def __init__(
+        self, part: Any, node: str, kind: InfraKind = InfraKind.NODE_ERROR,
+        seen: Callable[[str, Any], None] = lambda method, result: None,
+    ) -> None:
+        self._part, self._node, self._kind, self._seen = part, node, kind, seen
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._part, name)
+        if not callable(found):
+            return found
+
+        def call(*arguments: Any, **named: Any) -> Any:
+            with _blamed(self._node, self._kind):
+                result = found(*arguments, **named)
+            self._seen(name, result)
+            return result
+
+        return call
+
+    def close(self) -> None:
+        """Close a world that has something to give back."""
+        with _blamed(self._node, self._kind):
+            close_world(self._part)
+
+
+class _Watched:
+    """The parts of one run, and how far the current control step has come."""
 
     def __init__(
         self, perception: Perception, controller: Controller, world: ChosenWorld
     ) -> None:
-        self.perception = _Eyes(self, perception)
-        self.controller = _Hands(controller)
+        self.perception: Any = _Part(perception, topics.PERCEPTION, seen=self._take)
+        self.controller: Any = _Part(controller, topics.STEERING_CONTROLLER)
         self.now: Observation | None = None
         self.estimate: TrackingError | None = None
         self.complete = False
         self._world = world
 
-    def world(self, scenario: Scenario, *, pictures: bool) -> World:
+    def world(self, scenario: Scenario, *, pictures: bool) -> Any:
         """Make the world of the run."""
-        return _Scene(self, self._world, scenario, pictures=pictures)
+        with _blamed(topics.SIMULATOR, InfraKind.SIM):
+            world = self._world.make(scenario, pictures=pictures)
+        return _Part(world, topics.SIMULATOR, InfraKind.SIM, self._take)
+
+    def _take(self, method: str, result: Any) -> None:
+        if method == 'observe':
+            self.now, self.estimate, self.complete = result, None, False
+        elif method == 'estimate':
+            self.estimate = result
 
     @property
     def seq(self) -> int:
         """The current control step, -1 before the first."""
         return -1 if self.now is None else self.now.seq
-
-
-class _Scene(World):
-    def __init__(
-        self, watched: _Watched, chosen: ChosenWorld, scenario: Scenario, *, pictures: bool
-    ) -> None:
-        self._watched = watched
-        with _blamed(topics.SIMULATOR, InfraKind.SIM):
-            self._world = chosen.make(scenario, pictures=pictures)
-        self.last_seq = self._world.last_seq
-
-    def observe(self, *, picture: bool = True) -> Observation:
-        with _blamed(topics.SIMULATOR, InfraKind.SIM):
-            now = self._world.observe(picture=picture)
-        watched = self._watched
-        watched.now, watched.estimate, watched.complete = now, None, False
-        return now
-
-    def advance(self, command: TaxiCommand) -> None:
-        with _blamed(topics.SIMULATOR, InfraKind.SIM):
-            self._world.advance(command)
-
-    def close(self) -> None:
-        with _blamed(topics.SIMULATOR, InfraKind.SIM):
-            close_world(self._world)
-
-
-class _Eyes(Perception):
-    def __init__(self, watched: _Watched, perception: Perception) -> None:
-        self._watched, self._perception = watched, perception
-        self.word, self.fingerprint = perception.word, perception.fingerprint
-        self.needs_image, self.needs_sensors = perception.needs_image, perception.needs_sensors
-
-    def begin(self, rig: Rig | None = None) -> None:
-        with _blamed(topics.PERCEPTION):
-            self._perception.begin(rig)
-
-    def sense(self, measured: Measured) -> None:
-        self._perception.sense(measured)
-
-    def estimate(
-        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
-    ) -> TrackingError:
-        with _blamed(topics.PERCEPTION):
-            found = self._perception.estimate(image, truth)
-        self._watched.estimate = found
-        return found
-
-
-class _Hands(Controller):
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self.word, self.fingerprint = controller.word, controller.fingerprint
-        self.needs_image, self.needs_sensors = controller.needs_image, controller.needs_sensors
-
-    def begin(self, scenario: Scenario | None = None) -> None:
-        with _blamed(topics.STEERING_CONTROLLER):
-            self._controller.begin(scenario)
-
-    def see(self, image: NDArray[np.uint8]) -> None:
-        self._controller.see(image)
-
-    def sense(self, measured: Measured) -> None:
-        self._controller.sense(measured)
-
-    def command(self, estimate: TrackingError) -> TaxiCommand:
-        with _blamed(topics.STEERING_CONTROLLER):
-            return self._controller.command(estimate)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ Started by :class:`taxinet_ros.trials.worker_pool.WorkerProcess`.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from collections.abc import Sequence
@@ -14,11 +15,12 @@ from typing import Any
 import cv2
 from threadpoolctl import threadpool_limits
 
-from taxinet_ros.core.system import System, system_values
+from taxinet_ros.core.system import System
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.processes.child import module_command
 from taxinet_ros.trials.audit import Auditor
 from taxinet_ros.trials.loop_run import Loop
-from taxinet_ros.trials.worker_process import Link, serve
+from taxinet_ros.trials.worker_pool import Link, serve
 
 
 def loop_worker_command(
@@ -35,7 +37,7 @@ def loop_worker_command(
         audit_command: command of the graph's worker for audits, see :class:`.Auditor`.
     """
     values = {
-        'system': None if system is None else system.to_json(),
+        'system': None if system is None else dataclasses.asdict(system),
         'out': None if out is None else str(out), 'images': images,
         'audit_percent': audit_percent, 'audit_command': list(audit_command),
     }
@@ -45,7 +47,7 @@ def loop_worker_command(
 def _work(options: dict[str, Any], link: Link) -> None:
     cv2.setNumThreads(1)  # the workers share the cores among themselves
     threadpool_limits(limits=1)
-    system = None if options['system'] is None else System(**system_values(options['system']))
+    system = None if options['system'] is None else typed(System, options['system'])
     out = None if options['out'] is None else Path(options['out'])
     loop = Loop(system, out, options['images'])
     link.interrupt = loop.interrupt

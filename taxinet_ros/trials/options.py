@@ -148,18 +148,6 @@ class CampaignOptions(System):
             },
         )
 
-    def system(self, controller_sha256: str, world_sha256: str) -> System:
-        """What drives in its runs.
-
-        Args:
-            controller_sha256: recorded hash of its controller.
-            world_sha256: recorded hash of the package that provides its world, or ''.
-        """
-        own = {each.name: getattr(self, each.name) for each in dataclasses.fields(System)}
-        return System(**{
-            **own, 'controller_sha256': controller_sha256, 'world_sha256': world_sha256,
-        })
-
     @property
     def bag_folder(self) -> Path | None:
         """Folder of its bags; None if it makes none."""

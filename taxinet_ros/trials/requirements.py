@@ -79,7 +79,12 @@ def _read(path: Path, predicates: dict[str, str]) -> list[str]:
             raise given.wrong('there is one by that name already', name)
         where = f'{path}: predicates.{name}'
         formula = parse(given.text(name, kind='a formula'), SIGNALS, predicates, where)
-        _check_name(where, name)
+        try:
+            parse_formula(name, {name: 'cte > 0'})
+        except UsageError:
+            raise UsageError(
+                f'{where}: choose another name: letters, digits and _, and no signal or operator'
+            ) from None
         predicates[name] = str(formula)
     specs = top.section('specs', optional=True)
     texts = [
@@ -103,15 +108,6 @@ def _written_out(where: str, name: str, formula: str) -> str:
     except UsageError as error:
         raise UsageError(f'{where}: {error}') from None
     return text
-
-
-def _check_name(where: str, name: str) -> None:
-    try:
-        parse_formula(name, {name: 'cte > 0'})
-    except UsageError:
-        raise UsageError(
-            f'{where}: choose another name: letters, digits and _, and no signal or operator'
-        ) from None
 
 
 def make_judging(

@@ -20,7 +20,7 @@ from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.core.system import System
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.judging import Judging, StopOn
-from taxinet_ros.core.world import find_world, world_options
+from taxinet_ros.core.world import world_options
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.facts import recorded_world
 from taxinet_ros.trials.requirements import DEFAULT_JUDGING
@@ -65,7 +65,7 @@ class RunSettings(System):
     @property
     def graph_only(self) -> bool:
         """Whether only the graph of nodes can make such runs, or they cannot be had again."""
-        return self.timing.free or bool(find_world(self.world).again_words) or any(
+        return bool(self.not_again) or any(
             map(is_node_elsewhere, (self.perception, self.controller)))
 
     def judged_by(self, spec: str) -> Self:

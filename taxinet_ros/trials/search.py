@@ -66,8 +66,7 @@ from taxinet_ros.trials.record.resumption import (
     unfinished_search,
 )
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY
-from taxinet_ros.trials.stop import StopCount, StopRule, parse_stop_rule
+from taxinet_ros.trials.sequential import MAX_OFF_RUNWAY, StopCount, StopRule, parse_stop_rule
 
 PATIENCE = 3
 """Number of consecutive infrastructure errors in one session that end the search."""
@@ -288,14 +287,7 @@ class Search(Proposer):
         return done, {UNKNOWN_TO_SAMPLER: unknown} if unknown else {}
 
     def _settle_sampler(self, asked: ProgramSampler | None) -> str:
-        """Choose the sampler of the program or the default, if none is asked for.
-
-        Returns:
-            A line on its origin; '' if the program requests none.
-
-        Raises:
-            UsageError: the sampler does not have an option.
-        """
+        """Choose the sampler of the program or the default, if none is asked for; its origin."""
         if self.sampler:
             return f'sampler {self.sampler}, as asked; not the {asked.said} of {asked.place}' \
                 if asked is not None else ''

@@ -16,7 +16,7 @@ from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.rates import failure_rate, off_runway_rate
 from taxinet_ros.trials.search import COVERAGE, Search
-from taxinet_ros.trials.stop import FAILURES
+from taxinet_ros.trials.sequential import FAILURES
 from taxinet_ros.trials.summary import (
     ON_STANDING_GRAPH,
     participants_words,

@@ -3,32 +3,35 @@
 A worker is a process with a pipe in each direction. It receives ``{"run": …}`` lines on its
 standard input, and an ``{"interrupt": true}`` line to end the current run; it exits at the end of
 the input. It writes to another descriptor: ``{"seq": n}`` periodically, ``{"result": …}`` after
-each run, and ``{"error": text}`` before it exits on a usage error.
+each run, and ``{"error": text}`` before it exits on a usage error. Its side of this is a
+:class:`Link`, which reads requests in a thread, so that an interrupt arrives during a run.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import dataclasses
+import io
 import json
 import os
+import queue
 import select
 import subprocess
+import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.perception.substituted import AS_RECORDED
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.system import System, system_values
-from taxinet_ros.core.verdict.judging import Judging, StopOn
+from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
-from taxinet_ros.errors import InfraKind, UsageError
+from taxinet_ros.errors import ExitCode, InfraKind, UsageError
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.processes.child import ChildProcess, open_pipe
 
 
@@ -55,64 +58,6 @@ class Task(RunRequest):
     exact: bool = True
     observer: str = ''
     observed: str = ''
-
-
-def request_to_json(request: RunRequest) -> dict[str, Any]:
-    """Plain values; the inverse of :func:`request_from_json`."""
-    values = dataclasses.asdict(request)
-    return {**values, 'system': request.system.to_json()} if isinstance(request, Task) else values
-
-
-def request_from_json(values: Mapping[str, Any]) -> RunRequest:
-    """Create from the values of :func:`request_to_json`.
-
-    Raises:
-        UsageError: the scenario is out of range.
-        KeyError, TypeError, ValueError: a field is missing or unknown.
-    """
-    known = {
-        **values,
-        'scenario': Scenario(**values['scenario']),
-        'judging': _judging_from_json(values['judging']),
-        'participants': tuple(values['participants']),
-    }
-    if 'system' not in values:
-        return RunRequest(**known)
-    return Task(**{**known, 'system': System(**system_values(values['system']))})
-
-
-def _judging_from_json(values: Mapping[str, Any]) -> Judging:
-    texts = {name: tuple(values[name]) for name in ('specs', 'bounds', 'rates')}
-    return Judging(**{**values, **texts, 'stop_on': StopOn(values['stop_on'])})
-
-
-def result_to_json(result: RunResult) -> dict[str, Any]:
-    """Plain values; the inverse of :func:`result_from_json`."""
-    return dataclasses.asdict(result)
-
-
-def result_from_json(values: Mapping[str, Any]) -> RunResult:
-    """Read back what :func:`result_to_json` gave.
-
-    Raises:
-        KeyError, TypeError, ValueError: a field is missing or unknown, or the outcome is unknown.
-    """
-    return RunResult(**{
-        **values,
-        'outcome': Outcome(values['outcome']),
-        'statistics': _statistics_from_json(values.get('statistics')),
-        'robustness': {
-            name: RobustnessInterval(*ends)
-            for name, ends in values.get('robustness', {}).items()
-        },
-    })
-
-
-def _statistics_from_json(values: Mapping[str, Any] | None) -> RunStatistics | None:
-    if values is None:
-        return None
-    errors = {name: ErrorStatistics(**values[name]) for name in ('cte_error', 'he_error')}
-    return RunStatistics(**{**values, **errors})
 
 
 _GRACE_S = 5.0
@@ -165,7 +110,7 @@ class WorkerProcess:
     def give(self, request: RunRequest) -> None:
         """Send a run; if the process is dead, :meth:`read` reports it."""
         self.request, self.seq, self.silent_since = request, -1, time.monotonic()
-        self._send({'run': request_to_json(request)})
+        self._send({'run': dataclasses.asdict(request)})
 
     def interrupt(self) -> None:
         """Request an orderly end of the current run."""
@@ -338,7 +283,7 @@ class WorkerPool:
         return self._answered(worker, results[0]) if results else None
 
     def _answered(self, worker: WorkerProcess, values: Mapping[str, Any]) -> Answer:
-        request, result = worker.request, result_from_json(values)
+        request, result = worker.request, typed(RunResult, values)
         assert request is not None
         worker.request = None
         if result.outcome is Outcome.INFRA_ERROR:
@@ -363,3 +308,85 @@ class WorkerPool:
         if self.interrupted:
             result = RunResult(outcome=Outcome.INTERRUPTED, last_seq=worker.seq)
         return request, result
+
+
+BEAT_S = 1.0
+"""Time between two reports of progress [s]; silence means that a run hangs."""
+
+
+class Link:
+    """The pipes to the parent; messages may be sent from several threads.
+
+    Attributes:
+        interrupt: called when the current run is to end in order.
+    """
+
+    def __init__(self, answers: int) -> None:
+        """``answers``: descriptor that results are written to."""
+        self.interrupt: Callable[[], None] = lambda: None
+        self._answers = answers
+        self._lock = threading.Lock()
+        self._requests: queue.SimpleQueue[RunRequest | None] = queue.SimpleQueue()
+        self._interrupted = False
+        self._told_s = time.monotonic()
+
+    def requests(self) -> Iterator[RunRequest]:
+        """Yield the runs as they are asked for, until there are no more or they are interrupted."""
+        threading.Thread(target=self._listen, daemon=True).start()
+        while not self._interrupted and (request := self._requests.get()) is not None:
+            yield request
+
+    def answer(self, request: RunRequest, result: RunResult) -> bool:
+        """Send a result; the parent decides whether this worker gets another run."""
+        self._say(result=dataclasses.asdict(result))
+        return True
+
+    def progress(self, seq: int) -> None:
+        """Report a control step, unless one was reported just before."""
+        if time.monotonic() - self._told_s > BEAT_S:
+            self._told_s = time.monotonic()
+            self._say(seq=seq)
+
+    def refuse(self, error: UsageError) -> None:
+        """Report what the user must fix."""
+        self._say(error=str(error))
+
+    def _listen(self) -> None:
+        # Unbuffered: an unjoined thread would hold a buffer's lock forever.
+        for line in io.FileIO(sys.stdin.fileno(), closefd=False):
+            message = json.loads(line)
+            if 'run' in message:
+                kind = Task if 'system' in message['run'] else RunRequest
+                self._requests.put(typed(kind, message['run']))
+            else:
+                self._interrupted = True
+                self._requests.put(None)
+                self.interrupt()
+        self._requests.put(None)
+
+    def _say(self, **message: Any) -> None:
+        with self._lock:
+            os.write(self._answers, encode_line(message))
+
+
+def serve(work: Callable[[dict[str, Any], Link], None], words: Sequence[str] | None = None) -> int:
+    """The main function of a worker.
+
+    Args:
+        work: makes the runs of a link, by the worker's options.
+        words: command-line arguments; None for those of this process.
+
+    Returns:
+        Exit code: 0, or 2 after a usage error.
+    """
+    parser = argparse.ArgumentParser()
+    parser.add_argument('--answers', type=int, required=True)
+    parser.add_argument('--options', required=True)
+    arguments = parser.parse_args(words)
+    link = Link(arguments.answers)
+    try:
+        work(json.loads(arguments.options), link)
+    except UsageError as error:
+        link.refuse(error)
+        return ExitCode.USAGE
+    return ExitCode.OK

@@ -3,7 +3,7 @@
 import dataclasses
 
 import taxinet_ros as tx
-from taxinet_ros.trials.past_runs.judged_run import find_run
+from taxinet_ros.trials.past_runs.recorded_campaign import find_run
 
 SPEC = 'settled=always[5:15](abs(cte) <= 0.26)'
 CONSTANT = """

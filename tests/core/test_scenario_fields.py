@@ -31,7 +31,6 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes import values
-from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import table
 
 ROOT = Path(__file__).parents[2]
@@ -88,11 +87,6 @@ def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_i
 
 
 def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_type():
-    columns = {one.name: str(one.type) for one in dataclasses.fields(RunRow)}
-    empty = {Kind.WORD: 'str', Kind.DATE: 'str', Kind.DOCUMENT: 'str'}
-    for field in SCENARIO_FIELDS:
-        wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
-        assert columns[field.key] == wanted, field.key
     frame = table([])
     start = list(frame.columns).index(SCENARIO_FIELDS[0].key)
     assert list(frame.columns)[start:start + len(SCENARIO_FIELDS)] == [

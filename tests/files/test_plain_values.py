@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import dataclasses
 import enum
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import Section, json_text, load_yaml, parse_yaml
+from taxinet_ros.files.plain_values import Section, json_text, load_yaml, parse_yaml, typed
 
 FILE = Path('a.yaml')
 
@@ -84,21 +86,33 @@ def test_given_yaml_of_a_bag_when_aliases_are_not_allowed_then_it_is_refused() -
         load_yaml('a: &one [1]\nb: *one', aliases=False)
 
 
+class Word(enum.StrEnum):
+    ONE = 'one'
+
+
+class Pair(NamedTuple):
+    low: float
+    high: float
+
+
+@dataclass
+class Result:
+    pair: Pair
+    word: Word
+    path: Path
+    numbers: tuple[float, ...]
+
+
+@dataclass
+class Results:
+    by_name: Mapping[str, Pair]
+    named: tuple[tuple[str, Result], ...]
+    keys: frozenset[str]
+    best: Result | None = None
+    other: Word | None = None
+
+
 def test_a_result_becomes_plain_values_of_json():
-    class Word(enum.StrEnum):
-        ONE = 'one'
-
-    class Pair(NamedTuple):
-        low: float
-        high: float
-
-    @dataclass
-    class Result:
-        pair: Pair
-        word: Word
-        path: Path
-        numbers: tuple[float, ...]
-
     found = Result(Pair(0.5, math.inf), Word.ONE, Path('a/b'), (math.nan, np.float64(2.0)))
     assert json.loads(json_text({'found': found, 'all': np.array([1, 2])})) == {
         'found': {
@@ -107,3 +121,14 @@ def test_a_result_becomes_plain_values_of_json():
         },
         'all': [1, 2],
     }
+
+
+def test_a_dataclass_comes_back_from_its_plain_values():
+    result = Result(Pair(-math.inf, 0.5), Word.ONE, Path('a/b'), (1 / 3,))
+    found = Results({'f': Pair(0.1, 0.2)}, (('one', result),), frozenset(['x']), best=result)
+    values = json.loads(json.dumps(dataclasses.asdict(found), default=lambda one: (
+        sorted(one) if isinstance(one, frozenset) else str(one))))
+    assert typed(Results, values) == found
+    for wrong in ({**values, 'more': 1}, {'keys': []}, {**values, 'other': 'two'}):
+        with pytest.raises((TypeError, ValueError)):
+            typed(Results, wrong)

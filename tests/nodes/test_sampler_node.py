@@ -26,10 +26,9 @@ from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 from taxinet_ros.trials.options import make_options
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import is_campaign
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS, RunRow
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search, make_search
 

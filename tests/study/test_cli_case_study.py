@@ -15,7 +15,7 @@ from taxinet_ros.cli.study.case_study import case_study
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.study.report.report import report_case_study
-from taxinet_ros.study.stages.record import read_options
+from taxinet_ros.study.stages.run import read_options
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import read_table
@@ -37,7 +37,7 @@ from pathlib import Path
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.study.stages.config import read_config
 from taxinet_ros.study.stages.plan import stages
-from taxinet_ros.study.stages.record import open_study
+from taxinet_ros.study.stages.run import open_study
 from taxinet_ros.study.stages.run import StoppedError, StudyRun
 
 found = [stage for stage in stages(read_config(Path('mine.yaml'))) if stage.name == 'evaluate-best']

@@ -33,9 +33,8 @@ from taxinet_ros.trials.experiment import (
     read_experiment,
     with_network,
 )
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.facts import campaign_facts
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS, RunRow
 from taxinet_ros.trials.record.table import read_table
 
 GOOD = {

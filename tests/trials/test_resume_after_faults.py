@@ -21,9 +21,9 @@ from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import PATIENCE
 from taxinet_ros.trials.search_summary import search_summary

@@ -25,7 +25,7 @@ from taxinet_ros.trials.record.facts import read_facts
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.search import Search, make_search
 from taxinet_ros.trials.search_summary import search_summary
-from taxinet_ros.trials.stop import StopRule, parse_stop_rule
+from taxinet_ros.trials.sequential import StopRule, parse_stop_rule
 
 
 @pytest.fixture(autouse=True)

@@ -22,13 +22,14 @@ from taxinet_ros.trials.sequential import (
     Course,
     Decision,
     SequentialTest,
+    StopCount,
     course,
     decision,
     operating,
+    parse_stop_rule,
     parse_test,
     simulate,
 )
-from taxinet_ros.trials.stop import StopCount, parse_stop_rule
 
 TESTS = {
     'spread bets at 86 %': 'min-satisfaction=0.86',

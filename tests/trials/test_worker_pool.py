@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -19,15 +20,12 @@ from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.trials.worker_pool import (
     Answer,
     Task,
     WorkerPool,
     encode_line,
-    request_from_json,
-    request_to_json,
-    result_from_json,
-    result_to_json,
 )
 
 COMMAND = (sys.executable, str(Path(__file__).with_name('fake_worker.py')))
@@ -71,7 +69,7 @@ def test_given_runs_then_they_travel_whole(tmp_path):
         outcome=Outcome.FAIL, last_seq=4, statistics=statistics, stopped_early=True,
         robustness={'f': RobustnessInterval.exactly(-1 / 3), 'g': RobustnessInterval(-math.inf, 1)},
     )
-    assert request_from_json(json.loads(encode_line(request_to_json(asked)))) == asked
+    assert typed(RunRequest, json.loads(encode_line(dataclasses.asdict(asked)))) == asked
     task = Task(
         **{name: getattr(asked, name) for name in RunRequest.__dataclass_fields__},
         word='noisy:1', exact=False, observer='module:Name', observed='word', system=System(
@@ -79,8 +77,8 @@ def test_given_runs_then_they_travel_whole(tmp_path):
             timing=parse_timing('latency perception=0.3'), world='kmwh', world_sha256='x',
         ),
     )
-    assert request_from_json(json.loads(encode_line(request_to_json(task)))) == task
-    back = result_from_json(json.loads(encode_line(result_to_json(answer))))
+    assert typed(Task, json.loads(encode_line(dataclasses.asdict(task)))) == task
+    back = typed(RunResult, json.loads(encode_line(dataclasses.asdict(answer))))
     assert repr(back) == repr(answer)  # NaN is not equal to itself
 
 

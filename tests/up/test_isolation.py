@@ -23,7 +23,7 @@ from taxinet_ros.nodes.running import domain
 from taxinet_ros.nodes.running.domain import BY_HAND, own_domain
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.trials.options import make_options
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]

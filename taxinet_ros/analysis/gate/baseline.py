@@ -38,7 +38,7 @@ from taxinet_ros.analysis.runs.features import SCENE_COLUMNS, scene_columns
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import share_bounds
-from taxinet_ros.trials.record.columns import rho_column
+from taxinet_ros.trials.record.row import rho_column
 from taxinet_ros.trials.record.table import read_table
 
 DEFAULT_MARGIN = 0.05

@@ -38,13 +38,12 @@ from taxinet_ros.trials.rates import (
     sample_size_was_fixed,
     without_gaps,
 )
-from taxinet_ros.trials.record.columns import rho_column, specs_of
 from taxinet_ros.trials.record.facts import (
     planned_runs,
     read_facts,
     recorded_stacks,
 )
-from taxinet_ros.trials.record.row import SIMPLY_DRAWN
+from taxinet_ros.trials.record.row import SIMPLY_DRAWN, rho_column, specs_of
 from taxinet_ros.trials.record.table import PARQUET_NAME, read_table
 
 

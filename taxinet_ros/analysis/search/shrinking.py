@@ -26,13 +26,13 @@ from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import json_text, plain
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.shrink.report import (
+from taxinet_ros.trials.shrink.shrinking import (
     Report,
+    Shrinking,
     edge_words,
     off_nominal,
     run_command,
 )
-from taxinet_ros.trials.shrink.shrinking import Shrinking
 
 TEXT = Path(__file__).with_name('shrink.j2')
 _LEAST_M, _BEYOND_EDGE_M = 2.5, 4.0

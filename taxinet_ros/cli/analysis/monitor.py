@@ -116,7 +116,7 @@ def _judged(
     from taxinet_ros.bag.check.judge import judge_bags
     from taxinet_ros.bag.run.recording import open_recording
     from taxinet_ros.cli.progress import stage_bars
-    from taxinet_ros.trials.past_runs.judged_run import BagPlaces
+    from taxinet_ros.trials.past_runs.recorded_campaign import BagPlaces
 
     console = line_console(stderr=as_json)
     chosen = None if run is None else open_recording(bags[0]).choose(run).name

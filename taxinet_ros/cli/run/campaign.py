@@ -254,9 +254,9 @@ class _Graphs:
         self._options = options
         self._ahead = contextlib.ExitStack()
         self._made: Graph | None = None
-        self._system = options.system(
-            check_controller(options.controller, options.gains, graph=True),
-            find_world(options.world).fingerprint,
+        self._system = options.alone(
+            controller_sha256=check_controller(options.controller, options.gains, graph=True),
+            world_sha256=find_world(options.world).fingerprint,
         )
 
     def __enter__(self) -> Self:

@@ -33,17 +33,19 @@ from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.record.facts import missing_packages_named
 from taxinet_ros.trials.shrink.algorithm import End
-from taxinet_ros.trials.shrink.report import (
+from taxinet_ros.trials.shrink.shrinking import (
     Report,
+    Shrinking,
     check_run,
     finding_lines,
     make_report,
+    make_shrinking,
     parameter_table,
     result_lines,
     run_command,
     shrink_heading,
 )
-from taxinet_ros.trials.shrink.shrinking import Shrinking, make_shrinking
+from taxinet_ros.trials.summary import scene_words
 
 
 def shrink(

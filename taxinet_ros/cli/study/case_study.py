@@ -21,9 +21,15 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.config import read_config, resized, scaled, shipped_config
 from taxinet_ros.study.stages.plan import COMMAND, read_study, stages, stages_until
-from taxinet_ros.study.stages.progress import list_lines, study_heading
-from taxinet_ros.study.stages.record import OPTIONS, open_study, read_stages
-from taxinet_ros.study.stages.run import StoppedError, StudyRun
+from taxinet_ros.study.stages.run import (
+    OPTIONS,
+    StoppedError,
+    StudyRun,
+    list_lines,
+    open_study,
+    read_stages,
+    study_heading,
+)
 from taxinet_ros.study.stages.stage import with_engine
 from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder

@@ -22,10 +22,8 @@ from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import json_text
-from taxinet_ros.study.improve.loop import BEST, improve_network, resumed
-from taxinet_ros.study.improve.options import COMMAND, ImproveOptions
-from taxinet_ros.study.stages.record import OPTIONS, open_study
-from taxinet_ros.study.stages.run import StoppedError, StudyRun
+from taxinet_ros.study.improve.loop import BEST, COMMAND, ImproveOptions, improve_network, resumed
+from taxinet_ros.study.stages.run import OPTIONS, StoppedError, StudyRun, open_study
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder

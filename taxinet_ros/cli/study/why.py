@@ -19,13 +19,20 @@ from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import json_text
 from taxinet_ros.files.record import RECORD_NAME
-from taxinet_ros.study.stages.record import claim_study, open_study
-from taxinet_ros.study.stages.run import StoppedError, StudyRun
+from taxinet_ros.study.stages.run import StoppedError, StudyRun, claim_study, open_study
 from taxinet_ros.study.stages.stage import Stage, with_engine
 from taxinet_ros.study.why.investigation import Investigation, kind_of
 from taxinet_ros.study.why.plan import Budget
-from taxinet_ros.study.why.report import JSON_NAME, PAGE_NAME, why_json, why_report
-from taxinet_ros.study.why.verdict import Fault, Verdict, judge, todo_of
+from taxinet_ros.study.why.verdict import (
+    JSON_NAME,
+    PAGE_NAME,
+    Fault,
+    Verdict,
+    judge,
+    todo_of,
+    why_json,
+    why_report,
+)
 from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, make_out
 

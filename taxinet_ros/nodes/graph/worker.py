@@ -11,7 +11,6 @@ import json
 import sys
 import threading
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.processes.child import module_command
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.system import System
     from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
     from taxinet_ros.trials.options import CampaignOptions
-    from taxinet_ros.trials.worker_process import Link
+    from taxinet_ros.trials.worker_pool import Link
 
 
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
@@ -50,18 +49,18 @@ def audit_command(campaign: CampaignOptions, system: System) -> list[str]:
 
 def worker_command(options: GraphOptions) -> list[str]:
     """Command line of a worker with a graph, in a folder that exists."""
-    values = {**options.to_json(), 'out': str(options.out), 'make_out': False}
+    values = {**dataclasses.asdict(options), 'out': str(options.out), 'make_out': False}
     return module_command('taxinet_ros.nodes.graph.worker', f'--options={json.dumps(values)}')
 
 
 def _work(values: dict[str, Any], link: Link) -> None:
     import cv2
 
-    from taxinet_ros.core.system import system_values
+    from taxinet_ros.files.plain_values import typed
     from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
     cv2.setNumThreads(1)  # the workers share the cores
-    options = GraphOptions(**{**system_values(values), 'out': Path(values['out'])})
+    options = typed(GraphOptions, values)
     end = threading.Event()
     with composed_graph(options) as graph:
         link.interrupt = graph.interrupt
@@ -76,13 +75,13 @@ def _work(values: dict[str, Any], link: Link) -> None:
 
 def _report(graph: SampledGraph, link: Link, end: threading.Event) -> None:
     """Report the progress of the run periodically; silence means that it hangs."""
-    from taxinet_ros.trials.worker_process import BEAT_S
+    from taxinet_ros.trials.worker_pool import BEAT_S
 
     while not end.wait(BEAT_S):
         link.progress(graph.seq)
 
 
 if __name__ == '__main__':
-    from taxinet_ros.trials.worker_process import serve
+    from taxinet_ros.trials.worker_pool import serve
 
     sys.exit(serve(_work))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -59,8 +59,8 @@ NOTHING_KNOWN = Sides(1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Question:
-    """A statement of the paper, with the evidence of our runs.
+class Claim:
+    """A statement of the paper, with the evidence of our runs, and its verdict once judged.
 
     Attributes:
         name: unique name, for files.
@@ -68,21 +68,6 @@ class Question:
         source: its place in the paper.
         evidence: our figures, with 95 % intervals and numbers of runs.
         sides: its p values.
-    """
-
-    name: str
-    statement: str
-    source: str
-    evidence: str
-    sides: Sides
-
-
-@dataclass(frozen=True, kw_only=True)
-class Claim:
-    """A statement of the paper with its verdict.
-
-    Attributes:
-        name, statement, source, evidence: see :class:`Question`.
         verdict: our verdict.
         p_value: p value of the more likely verdict, adjusted for all statements (Holm).
     """
@@ -90,9 +75,10 @@ class Claim:
     name: str
     statement: str
     source: str
-    verdict: Verdict
     evidence: str
-    p_value: float
+    sides: Sides
+    verdict: Verdict = Verdict.UNCLEAR
+    p_value: float = 1.0
 
     def sentence(self) -> str:
         """Display text of the claim."""
@@ -103,22 +89,17 @@ class Claim:
         )
 
 
-def judge(questions: Sequence[Question]) -> tuple[Claim, ...]:
-    """Judge all questions of a study as one family."""
-    sides = [side for question in questions for side in question.sides]
-    adjusted = holm(sides)
-    claims = []
-    for question, if_false, if_true in zip(
-        questions, adjusted[::2], adjusted[1::2], strict=True
-    ):
+def judge(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Judge all statements of a study as one family."""
+    adjusted = holm([side for claim in claims for side in claim.sides])
+    judged = []
+    for claim, if_false, if_true in zip(claims, adjusted[::2], adjusted[1::2], strict=True):
         p_value = min(if_false, if_true)
         verdict = Verdict.AGREES if if_false < if_true else Verdict.DIFFERS
-        claims.append(Claim(
-            name=question.name, statement=question.statement, source=question.source,
-            evidence=question.evidence, p_value=p_value,
-            verdict=verdict if p_value <= SIGNIFICANT else Verdict.UNCLEAR,
+        judged.append(replace(
+            claim, p_value=p_value, verdict=verdict if p_value <= SIGNIFICANT else Verdict.UNCLEAR,
         ))
-    return tuple(claims)
+    return tuple(judged)
 
 
 # Tests -------------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_shift
 from taxinet_ros.core.scenario_fields import CLOUDS
 from taxinet_ros.study.report.claim import (
     Claim,
-    Question,
     all_of,
     evenly_often,
     judge,
@@ -96,16 +95,16 @@ _AT, _OFF = 'that start at 1,200-1,600 m', 'that start elsewhere'
 
 def judge_claims(results: Results) -> tuple[Claim, ...]:
     """Test every statement that our runs can decide, all as one family."""
-    parts: tuple[Callable[[Results], Iterator[Question]], ...] = (
+    parts: tuple[Callable[[Results], Iterator[Claim]], ...] = (
         _day, _clouds, _runway, _start, _blame, _shadows, _retraining, _even_day, _learning,
         _iteration,
     )
-    return judge([question for part in parts for question in part(results)])
+    return judge([claim for part in parts for claim in part(results)])
 
 # Falsification and debugging ---------------------------------------------------------------------
 
 
-def _day(results: Results) -> Iterator[Question]:
+def _day(results: Results) -> Iterator[Claim]:
     original = results.networks.get(ORIGINAL)
     if original is None:
         return
@@ -113,19 +112,19 @@ def _day(results: Results) -> Iterator[Question]:
     early, late = (
         failed[original.within('time_of_day_h', *hours)] for hours in (EARLY_H, LATE_MORNING_H)
     )
-    yield Question(
+    yield Claim(
         name='morning', source=f'{_DEBUGGING}, Fig. 4', sides=more_often(early, late),
         statement='the original network fails more in the early morning than in the late morning',
         evidence=f'from 6 to 8 h {_fail(original, early)}, '
         f'from 9:30 to 12 h {_fail(original, late)}.',
     )
-    yield Question(
+    yield Claim(
         name='early_morning', source=f'{_DEBUGGING}, Fig. 4',
         sides=mostly(int(early.sum()), int((~early).sum())),
         statement='the original network consistently fails in the early morning (most runs)',
         evidence=f'from 6 to 8 h {_fail(original, early)}.',
     )
-    yield Question(
+    yield Claim(
         name='late_morning', source=f'{_DEBUGGING}, Fig. 4',
         sides=share_above(int((~late).sum()), len(late), ALMOST_ALL),
         statement='the original network works well in the late morning, almost all runs satisfying '
@@ -134,7 +133,7 @@ def _day(results: Results) -> Iterator[Question]:
     )
 
 
-def _clouds(results: Results) -> Iterator[Question]:
+def _clouds(results: Results) -> Iterator[Claim]:
     original = results.networks.get(ORIGINAL)
     if original is None:
         return
@@ -150,7 +149,7 @@ def _clouds(results: Results) -> Iterator[Question]:
             sky: known[there & (frame['clouds'] == sky).to_numpy()]
             for sky in (first, second)
         }
-        yield Question(
+        yield Claim(
             name=name, source=f'{_DEBUGGING}, Fig. 5', sides=mostly_lower(rho[first], rho[second]),
             statement=f'{words} the original network performs worse under {_sky(first)} than under '
             f'{_sky(second)}',
@@ -159,7 +158,7 @@ def _clouds(results: Results) -> Iterator[Question]:
         )
 
 
-def _runway(results: Results) -> Iterator[Question]:
+def _runway(results: Results) -> Iterator[Claim]:
     """Stretches where a network fails more often than along the rest of the runway."""
     for name, what, words, source in (
         (ORIGINAL, 'crossing', 'fails around the crossing, more than along the rest of the runway',
@@ -181,14 +180,14 @@ def _runway(results: Results) -> Iterator[Question]:
         at, off = network.runs.failed[there], network.runs.failed[others]
         place = '1,200-1,600 m' if what == 'crossing' else '0-400 m'
         rest = 'of the others' if what == 'crossing' else 'at 400-1,200 and 1,600-2,000 m'
-        yield Question(
+        yield Claim(
             name=f'{name}_{what}', source=source, statement=f'the {_title(name)} network {words}',
             sides=more_often(at, off),
             evidence=f'of starts at {place} {_fail(network, at)}, {rest} {_fail(network, off)}.',
         )
 
 
-def _start(results: Results) -> Iterator[Question]:
+def _start(results: Results) -> Iterator[Claim]:
     """What else leads to failures, "even at favorable times and runway positions"."""
     original = results.networks.get(ORIGINAL)
     if original is None:
@@ -203,7 +202,7 @@ def _start(results: Results) -> Iterator[Question]:
     ):
         there = (frame[column].abs() > least).to_numpy()
         tested = failed[there & good], failed[~there & good]
-        yield Question(
+        yield Claim(
             name=f'original_{name}', source=_DEBUGGING, sides=more_often_by(*tested, EVEN),
             statement=f'even at favourable times and places (9:30 to 12 h, off the crossing) '
             f'starting {words} is a factor that leads to failures of the original network (at '
@@ -214,14 +213,14 @@ def _start(results: Results) -> Iterator[Question]:
         )
 
 
-def _blame(results: Results) -> Iterator[Question]:
+def _blame(results: Results) -> Iterator[Claim]:
     truth = next((
         one for one in (results.localized or {}).get('substitutions', ())
         if one['substitution'] == 'truth'
     ), None)
     if truth is not None and truth['judged']:
         passed, judged = truth['passed'], truth['judged']
-        yield Question(
+        yield Claim(
             name='blame', source=_DEBUGGING, sides=share_above(passed, judged, ALMOST_ALL),
             statement='with ground truth for the network the counterexamples satisfy the formula '
             f'(more than {_percent(ALMOST_ALL, 0)} %): the network is to blame',
@@ -230,7 +229,7 @@ def _blame(results: Results) -> Iterator[Question]:
         )
 
 
-def _shadows(results: Results) -> Iterator[Question]:
+def _shadows(results: Results) -> Iterator[Claim]:
     """Fig. 7: one place, a clear sky, and only the afternoon, when there is a shadow."""
     pairs = results.experiment_pairs.get('shadows')
     if pairs is None:
@@ -243,7 +242,7 @@ def _shadows(results: Results) -> Iterator[Question]:
     gain = rho[:, 1] - rho[:, 0]
     shift = paired_shift(rho[:, 0].tolist(), rho[:, 1].tolist())
     failing = [int((column <= 0).sum()) for column in rho.T]
-    yield Question(
+    yield Claim(
         name='shadows', source=f'{_DEBUGGING}, Fig. 7',
         sides=mostly(int((gain > 0).sum()), int((gain < 0).sum())),
         statement="under a clear sky, in the afternoon, the original network does better without "
@@ -256,7 +255,7 @@ def _shadows(results: Results) -> Iterator[Question]:
     steps = np.abs(rho[1::2] - rho[:len(rho) // 2 * 2:2])
     if not len(steps):
         return
-    yield Question(
+    yield Claim(
         name='shadows_fluctuation', source=f'{_DEBUGGING}, Fig. 7',
         sides=mostly(int((steps[:, 0] > steps[:, 1]).sum()),
                      int((steps[:, 0] < steps[:, 1]).sum())),
@@ -269,7 +268,7 @@ def _shadows(results: Results) -> Iterator[Question]:
 # Retraining --------------------------------------------------------------------------------------
 
 
-def _retraining(results: Results) -> Iterator[Question]:
+def _retraining(results: Results) -> Iterator[Claim]:
     yield from _paired(results, ORIGINAL, GENERIC, +1, 'generic', _RETRAINING,
                        'images of the falsification program make a network that satisfies the '
                        'formula more often (55.2 to 82 %)')
@@ -297,13 +296,13 @@ def _retraining(results: Results) -> Iterator[Question]:
     yield from _several_metres(results)
 
 
-def _specialised_elsewhere(results: Results) -> Iterator[Question]:
+def _specialised_elsewhere(results: Results) -> Iterator[Claim]:
     found = [
         _pair_of(results, other, SPECIALISED, where=_OFF) for other in (GENERIC, HALTON)
     ]
     known = [rates for rates in found if rates is not None]
     if len(known) == len(found):
-        yield Question(
+        yield Claim(
             name='specialised_elsewhere', source=_RETRAINING,
             statement='the specialised network does worse than the generic and the Halton one over '
             'the rest of the runway',
@@ -315,7 +314,7 @@ def _specialised_elsewhere(results: Results) -> Iterator[Question]:
         )
 
 
-def _several_metres(results: Results) -> Iterator[Question]:
+def _several_metres(results: Results) -> Iterator[Claim]:
     """Deviation of several metres; after ten seconds ρ is 1.5 m minus the greatest deviation."""
     network = results.networks.get(SPECIALISED)
     if network is None:
@@ -324,7 +323,7 @@ def _several_metres(results: Results) -> Iterator[Question]:
     rho = network.runs.frame['rho'].to_numpy(dtype=float)[there]
     away = _TOLERANCE_M - rho[~np.isnan(rho)]
     far = away > SEVERAL_M
-    yield Question(
+    yield Claim(
         name='specialised_metres', source=_RETRAINING,
         sides=mostly(int(far.sum()), int((~far).sum())),
         statement='around the crossing the specialised network still typically deviates several '
@@ -335,7 +334,7 @@ def _several_metres(results: Results) -> Iterator[Question]:
     )
 
 
-def _even_day(results: Results) -> Iterator[Question]:
+def _even_day(results: Results) -> Iterator[Claim]:
     for name in (GENERIC, HALTON):
         network = results.networks.get(name)
         if network is None:
@@ -347,14 +346,14 @@ def _even_day(results: Results) -> Iterator[Question]:
             for group, (low, high) in zip(groups, _PARTS_OF_DAY_H, strict=True) if len(group)
         )
         what = f'no three hours fail {_percent(EVEN, 0)} points more or less often than the rest'
-        yield Question(
+        yield Claim(
             name=f'{name}_day', source=f'{_RETRAINING}, Fig. 4', sides=evenly_often(groups, EVEN),
             statement=f"the {_title(name)} network's performance is consistent across the day "
             f'({what})',
             evidence=f'fail: {shares}.',
         )
         under = {sky: _parts_of_day(network, clouds == sky) for sky in CLOUDS}
-        yield Question(
+        yield Claim(
             name=f'{name}_day_clouds', source=_RETRAINING,
             sides=all_of([evenly_often(groups, EVEN) for groups in under.values()]),
             statement=f"the {_title(name)} network's performance is consistent across the day for "
@@ -383,7 +382,7 @@ def _spread(groups: Sequence[np.ndarray]) -> str:
     return f'{_percent(min(shares))} and {_percent(max(shares))} % of {runs:,}'
 
 
-def _iteration(results: Results) -> Iterator[Question]:
+def _iteration(results: Results) -> Iterator[Claim]:
     more, crossing, learned = ITERATIVE
     yield from _paired(results, GENERIC, more, +1, 'iterative_generic', _APPENDIX,
                        'further training with 20 % generic images does better than none '
@@ -399,12 +398,12 @@ def _iteration(results: Results) -> Iterator[Question]:
 def _paired(
     results: Results, first: str, second: str, sign: int, name: str, source: str, statement: str, *,
     off: bool = False, where: str = '',
-) -> Iterator[Question]:
+) -> Iterator[Claim]:
     """Whether the second network is positive more often (``sign`` +1) or less often (-1)."""
     rates = _pair_of(results, first, second, off=off, where=where)
     if rates is not None:
         sides = pairs_more_often(rates)
-        yield Question(
+        yield Claim(
             name=name, statement=statement, source=source,
             sides=sides if sign > 0 else sides.opposite,
             evidence=_pair_words(
@@ -426,7 +425,7 @@ def _pair_of(
 # Learning ----------------------------------------------------------------------------------------
 
 
-def _learning(results: Results) -> Iterator[Question]:
+def _learning(results: Results) -> Iterator[Claim]:
     """Tests of the paper's learning rule only; the table also shows the results of ours."""
     choice = results.distances
     found = results.searches.get(PAPER_RULE, ())
@@ -457,7 +456,7 @@ def _learning(results: Results) -> Iterator[Question]:
          f'{_searches(at_start)} at 0-200 m, {_searches(1 - crossing - at_start)} at all others'),
     ):
         higher, lower = int((more > less).sum()), int((more < less).sum())
-        yield Question(
+        yield Claim(
             name=name, source=_RETRAINING, sides=mostly(higher, lower),
             statement=f'{statement}: in most searches',
             evidence=f'{evidence}: in {higher} of {len(found)}.',

@@ -20,12 +20,6 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically, write_parquet
 from taxinet_ros.files.plain_values import plain
 from taxinet_ros.study.report.claim import Claim, Verdict, p_words
-from taxinet_ros.study.report.figures import (
-    day_pictures,
-    learned_picture,
-    rates_picture,
-    runway_pictures,
-)
 from taxinet_ros.study.report.paper import PAPER_RUNS, judge_claims
 from taxinet_ros.study.report.results import Results, read_results, read_tables
 from taxinet_ros.study.report.tables import (
@@ -34,18 +28,21 @@ from taxinet_ros.study.report.tables import (
     NETWORK_COLUMNS,
     PAIR_COLUMNS,
     binned_columns,
+    day_pictures,
     distances_frame,
     hours_frame,
     learned_frame,
+    learned_picture,
     networks_frame,
     pairs_frame,
+    rates_picture,
+    runway_pictures,
     stages_frame,
     table_of,
 )
 from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config
 from taxinet_ros.study.stages.plan import COMMAND, PAPER_RULE, REPORT, read_study, stages
-from taxinet_ros.study.stages.progress import clock, rough_duration
-from taxinet_ros.study.stages.record import read_stages
+from taxinet_ros.study.stages.run import clock, read_stages, rough_duration
 from taxinet_ros.trials.experiment import arm_rows, find_experiment, read_experiment
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.version import __version__
@@ -259,14 +256,11 @@ def _experiments(found: StudyFindings) -> Iterator[Picture]:
 
 def _pairs_table(found: StudyFindings) -> Table:
     names = [str(name) for name in found.pairs if str(name).endswith('_p')]
-    frame = found.pairs.assign(**{name: found.pairs[name].map(_pair_p_words) for name in names})
+    frame = found.pairs.assign(**{name: found.pairs[name].map(
+        lambda p: f'{p:.4f}' if p >= _LEAST_P else f'<{_LEAST_P:.4f}') for name in names})
     return table_of(
         frame, 'pairs', 'Differences', 'Of the second less the first in points, with 95 % '
         "intervals for pairs (Newcombe), and McNemar's exact test.", PAIR_COLUMNS)
-
-
-def _pair_p_words(value: float) -> str:
-    return f'{value:.4f}' if value >= _LEAST_P else f'<{_LEAST_P:.4f}'
 
 
 def _stage_tables(found: StudyFindings) -> tuple[Table, ...]:
@@ -306,20 +300,20 @@ def study_values(found: StudyFindings) -> dict[str, Any]:
         'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
         'made_on': dict(provenance()),
         'config': dataclasses.asdict(found.config), 'summary': list(study_report(found).summary),
-        'claims': [_claim(claim) for claim in found.claims],
+        'claims': [
+            {
+                'name': claim.name, 'statement': claim.statement, 'source': claim.source,
+                'verdict': claim.verdict.name.lower(), 'p': claim.p_value,
+                'evidence': claim.evidence,
+            }
+            for claim in found.claims
+        ],
         **{name: _records(frame) for name, frame in found.frames().items()},
         'localized': _localized(found.results),
         'experiments': {
             name: values['comparisons'] for name, values in found.results.experiments.items()
         },
     })
-
-
-def _claim(claim: Claim) -> dict[str, str | float]:
-    return {
-        'name': claim.name, 'statement': claim.statement, 'source': claim.source,
-        'verdict': claim.verdict.name.lower(), 'p': claim.p_value, 'evidence': claim.evidence,
-    }
 
 
 def _localized(results: Results) -> dict[str, Any] | None:

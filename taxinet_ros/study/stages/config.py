@@ -158,12 +158,6 @@ def read_config(path: Path) -> StudyConfig:
     return config
 
 
-def study_of(values: Mapping[str, Any]) -> StudyConfig:
-    """The configuration in a study's record."""
-    lists = {name: tuple(values[name]) for name in ('samplers', 'learning_seeds')}
-    return StudyConfig(**{**values, **lists})
-
-
 def _values(path: Path, content: object) -> dict[str, Any]:
     """Values of a file, checked one by one, by attribute name of :class:`StudyConfig`."""
     places: dict[str, list[str]] = {}

@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.study.stages.config import StudyConfig, study_of
-from taxinet_ros.study.stages.record import read_options
+from taxinet_ros.files.plain_values import typed
+from taxinet_ros.study.stages.config import StudyConfig
+from taxinet_ros.study.stages.run import read_options
 from taxinet_ros.study.stages.stage import (
     Resume,
     Stage,
     analysis_stage,
     campaign_stage,
+    localisation_stage,
     training_stage,
 )
-from taxinet_ros.trials.record.table import PARQUET_NAME
 
 COMMAND = 'case-study'
 """The command, by which a record names its study."""
@@ -35,7 +36,7 @@ FALSIFY, ANALYZE, LOCALIZE, REPORT = (
 
 def read_study(out: Path, option: str) -> StudyConfig:
     """The configuration of the case study in a folder; arguments and errors as of read_options."""
-    return study_of(read_options(out, COMMAND, option))
+    return typed(StudyConfig, read_options(out, COMMAND, option))
 
 
 def campaign_of(network: str) -> str:
@@ -64,7 +65,8 @@ def learned_program(config: StudyConfig) -> str:
 
 def stages(config: StudyConfig) -> tuple[Stage, ...]:
     """All stages of a study, each after the stages whose files it needs."""
-    found = [*_falsification(config), *_debugging(config), *_retraining(config)]
+    found = [_training(config, ORIGINAL, config.original), _evaluation(config, ORIGINAL)]
+    found += [*_debugging(config), *_retraining(config)]
     found += [*_learning(config), *_iteration(config)]
     if config.best:
         found.append(_evaluation(config, BEST, config.best))
@@ -91,33 +93,21 @@ def stages_until(found: Sequence[Stage], name: str) -> tuple[Stage, ...]:
     return tuple(found[:names.index(name) + 1])
 
 
-def _falsification(config: StudyConfig) -> Iterator[Stage]:
-    yield _training(config, ORIGINAL, config.original)
-    yield _evaluation(config, ORIGINAL)
-
-
 def _debugging(config: StudyConfig) -> Iterator[Stage]:
-    table = f'{FALSIFY}/{PARQUET_NAME}'
     yield analysis_stage(ANALYZE, FALSIFY)
-    yield Stage(
-        name=LOCALIZE, command='localize', argument=FALSIFY, options={'out': LOCALIZE},
-        runs=config.localized, hints={'workers': config.workers}, inputs=(table,),
-        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), resume=Resume.SAME,
-        needs_failures=FALSIFY,
+    yield localisation_stage(
+        LOCALIZE, FALSIFY, runs=config.localized, workers=config.workers, needs_failures=FALSIFY,
     )
+    weights = weights_of(ORIGINAL)
     for word, runs in config.experiments.items():
-        yield _experiment(config, word, runs)
-
-
-def _experiment(config: StudyConfig, word: str, runs: int) -> Stage:
-    name, weights = f'experiment-{Path(word).stem}', weights_of(ORIGINAL)
-    return Stage(
-        name=name, command='experiment', argument=word,
-        options={'perception': weights, 'out': name}, runs=runs,
-        hints={'workers': config.workers}, inputs=(weights,), experiment=word,
-        outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), accepts=(0, 4),
-        resume=Resume.OPTION,
-    )
+        name = f'experiment-{Path(word).stem}'
+        yield Stage(
+            name=name, command='experiment', argument=word,
+            options={'perception': weights, 'out': name}, runs=runs,
+            hints={'workers': config.workers}, inputs=(weights,), experiment=word,
+            outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), accepts=(0, 4),
+            resume=Resume.OPTION,
+        )
 
 
 def _retraining(config: StudyConfig) -> Iterator[Stage]:

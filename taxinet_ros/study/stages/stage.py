@@ -209,13 +209,23 @@ def campaign_stage(
     )
 
 
-def analysis_stage(name: str, campaign: str) -> Stage:
-    """Stage that analyses the failures of a campaign."""
-    return Stage(
-        name=name, command='analyze', argument=campaign, options={'out': name},
-        inputs=(f'{campaign}/{PARQUET_NAME}',),
-        outputs=(f'{name}/analysis.json', f'{name}/report.html'), resume=Resume.REPLACE,
-    )
+def analysis_stage(name: str, campaign: str, **more: Any) -> Stage:
+    """Stage that analyses the failures of a campaign; ``more`` are other attributes."""
+    return Stage(**{
+        'name': name, 'command': 'analyze', 'argument': campaign, 'options': {'out': name},
+        'inputs': (f'{campaign}/{PARQUET_NAME}',), 'resume': Resume.REPLACE,
+        'outputs': (f'{name}/analysis.json', f'{name}/report.html'), **more,
+    })
+
+
+def localisation_stage(name: str, campaign: str, *, runs: int, workers: int, **more: Any) -> Stage:
+    """Stage that drives failed runs again with perfect estimates; ``more`` as above."""
+    return Stage(**{
+        'name': name, 'command': 'localize', 'argument': campaign, 'options': {'out': name},
+        'runs': runs, 'hints': {'workers': workers}, 'inputs': (f'{campaign}/{PARQUET_NAME}',),
+        'outputs': (f'{name}/localize.json', f'{name}/localize.parquet'), 'resume': Resume.SAME,
+        **more,
+    })
 
 
 def training_stage(

@@ -32,7 +32,6 @@ from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Reading
 from taxinet_ros.core.mtl.lint import UNSATISFIABLE
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.domain import domain_doubts
 from taxinet_ros.core.perception.perception import (
     GroundTruth,
@@ -43,7 +42,6 @@ from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.perception.substituted import TRUTH as WITH_TRUTH
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, BY_KEY, CAMERA, CAMERA_OFFSETS
-from taxinet_ros.core.system import System
 from taxinet_ros.core.verdict.judge import describe_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -88,9 +86,14 @@ from taxinet_ros.study.why.verdict import (
     adjusted,
 )
 from taxinet_ros.trials.loop_run import Loop
-from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.trials.past_runs.localisation import make_localize_options
-from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, open_campaign
+from taxinet_ros.trials.past_runs.recorded_campaign import (
+    JudgedRun,
+    RecordedCampaign,
+    check_unchanged,
+    find_run,
+    open_campaign,
+)
 from taxinet_ros.trials.past_runs.trials import Trial
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
 from taxinet_ros.trials.record.table import PARQUET_NAME
@@ -178,17 +181,24 @@ class Investigation:
         except UsageError as error:
             troubles[LOCALIZE] = str(error)
         troubles |= self.run_stages(stages)
-        troubles |= self._why_no_causes()
+        if why_not := self._analysis()['causes_why_not']:
+            troubles[CAUSES] = str(why_not)
         blames = None if LOCALIZE in troubles else self._blames(campaign)
         causes = self._causes()
         if LOCALIZE in troubles:
             troubles[EXPLAIN] = troubles[CONFIRM] = troubles[LOCALIZE]
         else:
-            causes = self._looked_into(campaign, causes, network, blames, troubles)
+            causes = self._looked_into(
+                causes, self.path / causes[0].run_id, network, recorded_world(facts)[0], blames,
+                troubles,
+            )
             causes = self._tested(found, why_no_program(runs), causes, troubles)
         return replace(
             found, blames=blames, causes=causes, troubles=troubles, shrunk=self._shrunk(),
-            unsatisfiable=unsatisfiable(*_scene_and_judging(campaign), dict(campaign.gains)),
+            unsatisfiable=unsatisfiable(
+                campaign.scenario(campaign.counterexamples[0])[0], campaign.judging,
+                dict(campaign.gains),
+            ),
         )
 
     def _with_scenes(self, found: Evidence, runs: CampaignRuns) -> Evidence:
@@ -244,10 +254,6 @@ class Investigation:
         first = '' if failures.empty else str(failures['run_id'].iloc[0])
         return replace(cause, run_id=first)
 
-    def _why_no_causes(self) -> dict[str, str]:
-        why_not = self._analysis()['causes_why_not']
-        return {CAUSES: str(why_not)} if why_not else {}
-
     def _analysis(self) -> Mapping[str, Any]:
         return read_sealed(self.out / ANALYZE / 'analysis.json').values
 
@@ -268,7 +274,7 @@ class Investigation:
         )
 
     def _looked_into(
-        self, campaign: RecordedCampaign, causes: Sequence[CauseEvidence], network: str,
+        self, causes: Sequence[CauseEvidence], worst: Path, network: str, world: str,
         blames: Blames | None, troubles: dict[str, str],
     ) -> tuple[CauseEvidence, ...]:
         """Explain the worst run of the first causes, and shrink the worst of the first."""
@@ -277,19 +283,18 @@ class Investigation:
         if network == TRUTH:
             troubles[EXPLAIN] = _NO_TRUTH
         elif not any(cause.bag for cause in first):
-            troubles[EXPLAIN] = f'no bag of a failed run is left in {campaign.folder}'
+            troubles[EXPLAIN] = f'no bag of a failed run is left in {self.path}'
         else:
             stages += [
-                explain_stage(
-                    cause.bag, self.out, cause.rank, network, recorded_world(campaign.facts)[0])
+                explain_stage(cause.bag, self.out, cause.rank, network, world)
                 for cause in first if cause.bag is not None
             ]
         if first[0].run_id:
             # What the truth cannot master is shrunk with the truth.
             alone = blames is not None and not blames.network and blames.counted
             stages.append(shrink_stage(
-                self.path / first[0].run_id, self.out, runs=self.budget.shrunk,
-                workers=self.workers, perception=TRUTH if alone else network,
+                worst, self.out, runs=self.budget.shrunk, workers=self.workers,
+                perception=TRUTH if alone else network,
             ))
         troubles |= self.run_stages(stages)
         return (*(self._explained(cause) for cause in first), *causes[MOST_CAUSES:])
@@ -414,20 +419,7 @@ class Investigation:
         except (UsageError, InfraError) as error:
             troubles[LOCALIZE] = troubles[EXPLAIN] = troubles[CONFIRM] = str(error)
         if blames is not None:
-            stages = []
-            if network == TRUTH:
-                troubles[EXPLAIN] = _NO_TRUTH
-            elif bag is None:
-                troubles[EXPLAIN] = f'its bag is not in {self.path}'
-            else:
-                stages.append(explain_stage(bag, self.out, 0, network, run.world))
-            alone = not blames.network and blames.counted
-            stages.append(shrink_stage(
-                self.path, self.out, runs=self.budget.shrunk, workers=self.workers,
-                perception=TRUTH if alone else network,
-            ))
-            troubles |= self.run_stages(stages)
-            cause = self._explained(cause)
+            cause, = self._looked_into([cause], self.path, network, run.world, blames, troubles)
             program = self.out / _PROGRAM
             write_atomically(program, near_program(run.scenario, run.run_id))
             settings = RunSettings(
@@ -450,27 +442,18 @@ class Investigation:
         )
 
     def _trial_blames(self, run: JudgedRun, network: str) -> Blames:
-        """Drive a run again unchanged, and with perfect estimates.
-
-        Raises:
-            UsageError: it cannot be repeated: network, controller or world differ or are not there.
-        """
-        if run.timing.free:
-            raise UsageError(f'a free run: {NOT_REPRODUCIBLE}')
-        if again := find_world(run.world, run.world_fingerprint).again_words:
-            raise UsageError(again)
-        _check_same(
+        """Drive a run again unchanged, and with perfect estimates."""
+        if why := run.not_again:
+            raise UsageError(why)
+        check_unchanged(
             'perception', network, lambda: check_perception(network), run.fingerprint,
             'name its file with --perception',
         )
-        _check_same(
+        check_unchanged(
             'controller', run.controller, lambda: check_controller(run.controller, run.gains),
-            run.controller_fingerprint, 'put its file back',
+            run.controller_sha256, 'put its file back',
         )
-        system = System(
-            perception=network, gains=run.gains, controller=run.controller, timing=run.timing,
-            world=run.world, world_sha256=run.world_fingerprint,
-        )
+        system = run.alone(perception=network, controller_sha256='')
         judging, loop = Judging(specs=run.specs), Loop()
 
         def trial(word: str) -> Trial:
@@ -489,7 +472,7 @@ class Investigation:
             return Blames(unknown=1)
         if passed:
             return Blames(network=1)
-        world = find_world(run.world, run.world_fingerprint).make
+        world = find_world(run.world, run.world_sha256).make
         doomed = violated_at_start(run.scenario, judging, world)
         return Blames(requirement=int(doomed), controller=int(not doomed))
 
@@ -593,27 +576,3 @@ def _paired(values: Mapping[str, Any] | None, words: str) -> Paired | None:
         difference=rates['difference'], low=rates['low'], high=rates['high'],
         p=rates['mcnemar_p'],
     )
-
-
-def _scene_and_judging(campaign: RecordedCampaign) -> tuple[Scenario, Judging]:
-    return campaign.scenario(campaign.counterexamples[0])[0], campaign.judging
-
-
-def _check_same(
-    role: str, word: str, now: Callable[[], str], before: str, fix: str
-) -> None:
-    """Check that a network or controller is there, and that of the run.
-
-    Raises:
-        UsageError: it is not.
-    """
-    was = f'sha256 {before[:12]}…' if before else 'without weights'
-    try:
-        found = now()
-    except UsageError as error:
-        raise UsageError(
-            f"the run's {role} {word!r} ({was}) is not here under this name; {fix}"
-        ) from error
-    if found != before:
-        what = f'sha256 {found[:12]}…' if found else 'without weights'
-        raise UsageError(f'{role} {word} is {what}, the run had one of {was}; {fix}')

@@ -31,7 +31,7 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import scenario_program
-from taxinet_ros.study.stages.stage import Resume, Stage
+from taxinet_ros.study.stages.stage import Resume, Stage, analysis_stage, localisation_stage
 from taxinet_ros.trials.record.table import PARQUET_NAME
 from taxinet_ros.trials.run_command import RunSettings
 from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED
@@ -89,13 +89,8 @@ def confirm_name(rank: int) -> str:
 
 def analyze_stage(campaign: Path, out: Path) -> Stage:
     """Stage that finds what failures have in common; replaces an earlier one."""
-    return Stage(
-        name=ANALYZE, command='analyze', argument=str(campaign), options={'out': out / ANALYZE},
-        inputs=(str(campaign / PARQUET_NAME),),
-        outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'),
-        # 3: scenes were chosen by a sampler, so there is no rate.
-        resume=Resume.REPLACE, accepts=(0, 3),
-    )
+    # 3: scenes were chosen by a sampler, so there is no rate.
+    return analysis_stage(ANALYZE, str(campaign), options={'out': out / ANALYZE}, accepts=(0, 3))
 
 
 def localize_stage(
@@ -103,12 +98,9 @@ def localize_stage(
 ) -> Stage:
     """Stage that drives failed runs again with perfect estimates."""
     moved = {} if perception is None else {'perception': perception}
-    return Stage(
-        name=LOCALIZE, command='localize', argument=str(campaign),
-        options={**moved, 'out': out / LOCALIZE},
-        runs=runs, hints={'workers': workers}, inputs=(str(campaign / PARQUET_NAME),),
-        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), resume=Resume.SAME,
-        optional=True,
+    return localisation_stage(
+        LOCALIZE, str(campaign), runs=runs, workers=workers,
+        options={**moved, 'out': out / LOCALIZE}, optional=True,
     )
 
 

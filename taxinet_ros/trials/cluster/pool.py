@@ -407,12 +407,7 @@ class ClusterPool:
     # Results -----------------------------------------------------------------------------------
 
     def _taken(self, future: Future[Done], done: Any) -> Iterator[Answer]:
-        """The answer of a task that has ended, unless its run is made again.
-
-        Args:
-            future: its future; its status may have changed since, as with the loss of a worker.
-            done: its result or its exception, which Dask also gives as a tuple with its class.
-        """
+        """The answer of a task that has ended with ``done``, unless its run is made again."""
         from distributed import KilledWorker
 
         from taxinet_ros.trials.cluster.task import UnfitError
@@ -420,6 +415,7 @@ class ClusterPool:
         if future not in self._runs:  # it was cancelled
             return
         request, _ = self._runs.pop(future)
+        # Dask gives an exception also as a tuple with its class.
         error = done if isinstance(done, BaseException) else done[1]
         if not isinstance(error, BaseException):
             yield request, self._in_place(request, *done)

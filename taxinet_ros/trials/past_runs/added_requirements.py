@@ -11,11 +11,10 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record
-from taxinet_ros.trials.past_runs.judged_run import check_same_run
+from taxinet_ros.trials.past_runs.recorded_campaign import check_same_run
 from taxinet_ros.trials.record.content import (
     AS_TEXT,
     REQUIREMENT,
-    CampaignContent,
     campaign_content,
     read_campaign,
     run_key,
@@ -61,7 +60,7 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
         raise UsageError(f'--add: {folder / RECORD_NAME}: no such file; not a campaign')
     content = read_campaign(folder)
     _opened(folder).close()
-    own = _own_formulas(content)
+    own = dict(content.facts.get('specs', {}))
     chosen = list(specs)
     for spec in chosen:
         before = own.get(spec.name) or content.added.get(spec.name, spec.text)
@@ -113,10 +112,6 @@ def add_requirements(
 def _opened(folder: Path) -> Record:
     """The record of an intact campaign that no command writes."""
     return Record(folder / RECORD_NAME, create=False, as_text=AS_TEXT)
-
-
-def _own_formulas(content: CampaignContent) -> dict[str, str]:
-    return dict(content.facts.get('specs', {}))
 
 
 def _interval(row: RunRow, spec: Spec, bag: JudgedBag | None) -> RobustnessInterval | None:

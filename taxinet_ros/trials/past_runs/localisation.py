@@ -12,11 +12,8 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from taxinet_ros.core.assurance.switch import check_controller
-from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.perception.substituted import (
     AS_RECORDED,
@@ -27,17 +24,16 @@ from taxinet_ros.core.perception.substituted import (
 )
 from taxinet_ros.core.system import System, digest_of
 from taxinet_ros.core.user_code import is_node_elsewhere
-from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT
 from taxinet_ros.trials.past_runs.recorded_campaign import (
     RecordedCampaign,
+    check_unchanged,
     open_failed_campaign,
     spread_evenly,
 )
 from taxinet_ros.trials.past_runs.shared_scenes import Scene, system_of, trials_digest
 from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
-from taxinet_ros.trials.record.facts import recorded_world
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.worker_pool import Task
 
@@ -101,17 +97,17 @@ def make_localize_options(
         raise UsageError(f'--runs {runs}: needs to be 1 or more')
     chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
     found = open_failed_campaign(campaign)
-    if is_free(found.timing):
+    system = system_of(found)
+    if why := system.not_again:  # which reports a missing or changed package, too
         raise UsageError(
-            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so trials cannot localise the fault; use '
-            'a campaign with --latency'
+            f'{campaign}: {why}, so trials cannot localise the fault; use runs in lockstep'
         )
-    # Which reports a missing or changed package.
-    if again := find_world(*recorded_world(found.facts)).again_words:
-        raise UsageError(f'{campaign}: {again}, so trials cannot localise the fault')
     if not found.judging.specs:
         raise UsageError(f'{campaign}: its record does not have the formulas')
-    _check_controller(found)
+    check_unchanged(
+        'controller', system.controller, lambda: check_controller(system.controller, system.gains),
+        found.facts.get('controller_sha256', ''), 'put the file back as it was',
+    )
     return LocalizeOptions(
         campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
@@ -152,7 +148,12 @@ def localize(
         f'{word} {row.run_id} {digest_of(row.scene)}': (row.run_id, word)
         for row in options.rows for word in options.words
     }
-    settings = {**_facts(options.campaign), 'system': trials_digest(system, judging)}
+    facts = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs')
+    settings = {
+        **{name: options.campaign.facts.get(name) for name in facts},
+        'perception_sha256': options.campaign.counterexamples[0].fingerprint,
+        'system': trials_digest(system, judging),
+    }
     with TrialRecord(options.out, settings, 'contains trials of another campaign or network') as (
         record
     ):
@@ -165,47 +166,13 @@ def localize(
         return {names[key]: trial for key, trial in found.items()}
 
 
-def _facts(campaign: RecordedCampaign) -> dict[str, Any]:
-    """Facts by which the campaign is known."""
-    names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs')
-    return {
-        **{name: campaign.facts.get(name) for name in names},
-        'perception_sha256': campaign.counterexamples[0].fingerprint,
-    }
-
-
 def _network(campaign: RecordedCampaign, given: str | None) -> str:
-    """The network used by the campaign.
-
-    Raises:
-        UsageError: it cannot be found, or has changed.
-    """
+    """The network used by the campaign."""
     first = campaign.counterexamples[0]
-    recorded = first.fingerprint
     asked = str(campaign.facts.get('perception', ''))
     word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
-    fix = f'name the file that {campaign.folder} was run with: --perception FILE'
-    try:
-        found = check_perception(word)
-    except UsageError as error:
-        raise UsageError(f'{error}; {fix}') from error
-    if found != recorded:
-        what = f'sha256 {found[:12]}…' if found else 'the truth'
-        before = f'sha256 {recorded[:12]}…' if recorded else 'the truth'
-        raise UsageError(f'perception {word} is {what}, the runs had {before}; {fix}')
-    return str(word)
-
-
-def _check_controller(campaign: RecordedCampaign) -> None:
-    """Check the campaign's controller.
-
-    Raises:
-        UsageError: it cannot be called here, or has changed.
-    """
-    word = str(campaign.facts.get('controller', STEERING))
-    found = check_controller(word, campaign.gains)
-    if found != (before := campaign.facts.get('controller_sha256', '')):
-        raise UsageError(
-            f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
-            'back as it was'
-        )
+    check_unchanged(
+        'perception', word, lambda: check_perception(word), first.fingerprint,
+        f'name the file that {campaign.folder} was run with: --perception FILE',
+    )
+    return word

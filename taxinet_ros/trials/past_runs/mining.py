@@ -17,8 +17,7 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl.mine import Parameter, Template
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.past_runs.judged_run import check_same_run
-from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, check_same_run
 from taxinet_ros.trials.rates import TAIL, anytime_bounds, share_bounds, without_gaps
 
 

@@ -18,7 +18,7 @@ from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.perception.perception import check_perception, perception_names
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import CONTROLLERS, names
-from taxinet_ros.trials.past_runs.judged_run import BagPlaces
+from taxinet_ros.trials.past_runs.recorded_campaign import BagPlaces
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.mtl.specs import SHIPPED
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
+from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
@@ -33,17 +33,16 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.scenes.source import Rejected, SceneSource
 from taxinet_ros.trials.options import CampaignOptions
-from taxinet_ros.trials.past_runs.judged_run import find_run
 from taxinet_ros.trials.past_runs.recorded_campaign import (
     RecordedCampaign,
+    find_run,
     open_campaign,
     spread_evenly,
 )
 from taxinet_ros.trials.past_runs.trials import Trial, TrialRecord
 from taxinet_ros.trials.rates import sample_size_was_fixed
-from taxinet_ros.trials.record.columns import rho_column, specs_of
 from taxinet_ros.trials.record.facts import is_campaign, recorded_world
-from taxinet_ros.trials.record.row import RunRow, scene_attributes
+from taxinet_ros.trials.record.row import RunRow, rho_column, scene_attributes, specs_of
 from taxinet_ros.trials.record.table import read_any_table
 from taxinet_ros.trials.record.table import table as table_of
 from taxinet_ros.trials.worker_pool import Task
@@ -145,11 +144,9 @@ def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
 
 def _of_campaign(path: Path, runs: int | None) -> SceneSet:
     campaign = open_campaign(path)
-    if is_free(campaign.timing):
-        raise UsageError(f'{path}: free runs: {NOT_REPRODUCIBLE}')
     system = system_of(campaign)
-    if again := find_world(system.world, system.world_sha256).again_words:
-        raise UsageError(f'{path}: {again}, so its scenes cannot be compared')
+    if why := system.not_again:
+        raise UsageError(f'{path}: {why}, so its scenes cannot be compared')
     if not campaign.judged:
         raise UsageError(f'{path}: no run was judged, so it has no scenes to compare')
     if not campaign.judging.specs:
@@ -215,23 +212,18 @@ def _row(values: Mapping[Any, Any], spec: str) -> RunRow:
 
 def _of_run(path: Path) -> SceneSet:
     run = find_run(path)
-    if run.timing.free:
-        raise UsageError(f'{path}: a free run: {NOT_REPRODUCIBLE}')
-    if again := find_world(run.world, run.world_fingerprint).again_words:
-        raise UsageError(f'{path}: {again}, so it cannot be repeated')
+    if why := run.not_again:
+        raise UsageError(f'{path}: {why}, so it cannot be repeated')
+    if run.outcome.judged and not run.robustness:
+        raise UsageError(f'{path}: its verdict is not recorded')
     row = RunRow(
         run_id=run.run_id, index=0, program='', seed=run.seed, perception=run.perception,
         outcome=run.outcome if run.outcome.judged else Outcome.INTERRUPTED,
-        robustness=run.robustness if run.outcome.judged else {}, **scene_attributes(run.scenario),
-    ) if run.robustness or not run.outcome.judged else None
-    if row is None:
-        raise UsageError(f'{path}: its verdict is not recorded')
+        robustness=run.robustness, **scene_attributes(run.scenario),
+    )
     return SceneSet(
         source=str(path), scenes=(Scene(row=row, scenario=run.scenario, exact=True),),
-        system=System(
-            perception=GroundTruth.word, gains=dict(run.gains), controller=run.controller,
-            timing=run.timing, world=run.world, world_sha256=run.world_fingerprint,
-        ),
+        system=run.alone(perception=GroundTruth.word, controller_sha256=''),
         judging=Judging(specs=run.specs[:1]),
     )
 
@@ -286,9 +278,8 @@ def scenes_of_options(options: CampaignOptions) -> SceneSet:
         options.program, runs=options.runs, seed=options.seed, judging=options.judging,
         overrides=options.overrides,
     )
-    return dataclasses.replace(scenes, system=dataclasses.replace(
-        scenes.system, gains=options.gains, controller=options.controller, timing=options.timing,
-        world=options.world, world_sha256=find_world(options.world).fingerprint,
+    return dataclasses.replace(scenes, system=options.alone(
+        perception=GroundTruth.word, world_sha256=find_world(options.world).fingerprint,
     ))
 
 

@@ -147,7 +147,10 @@ class _Trials:
         assert isinstance(request, Task)
         if result.outcome is Outcome.INTERRUPTED:
             return
-        self._check_same_perception(request.system.perception, result.fingerprint)
+        word, found = request.system.perception, result.fingerprint
+        # A worker that replaces a lost one reads the file again.
+        if found and self._fingerprints.setdefault(word, found) != found:
+            raise UsageError(f'perception {word} has changed since this began; put it back')
         self._take(Trial.of(request, result))
         self._lost = self._lost + 1 if result.who == 'worker' else 0
         if self._lost == _PATIENCE:
@@ -155,11 +158,6 @@ class _Trials:
                 InfraKind(result.kind), f'{_PATIENCE} workers in a row', result.last_seq,
                 result.detail,
             )
-
-    def _check_same_perception(self, word: str, fingerprint: str) -> None:
-        # A worker that replaces a lost one reads the file again.
-        if fingerprint and self._fingerprints.setdefault(word, fingerprint) != fingerprint:
-            raise UsageError(f'perception {word} has changed since this began; put it back')
 
 
 def check_trials_folder(out: Path) -> None:

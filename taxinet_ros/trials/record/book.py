@@ -307,7 +307,11 @@ class CampaignBook:
             self.options, index, scenario, self._participants, self._attempts[index]
         )
         rename_broken(self._out / request.run_id)
-        entries = [*self._new_documents(scenario), (BEGUN, run_key(index), self._attempts[index])]
+        entries = [
+            *(entry for key, catalogue in CATALOGUES.items()
+              for entry in self._new_document(key, catalogue.find(getattr(scenario, key)))),
+            (BEGUN, run_key(index), self._attempts[index]),
+        ]
         with self._watched():
             self._record.put_all(entries)
         return request
@@ -327,12 +331,8 @@ class CampaignBook:
         finally:
             self._on_row(row)
 
-    def _new_documents(self, scenario: Scenario) -> Iterator[tuple[str, str, Any]]:
-        """Entries of the documents of a scenario that are neither shipped nor recorded yet."""
-        for key, catalogue in CATALOGUES.items():
-            yield from self._new_document(key, catalogue.find(getattr(scenario, key)))
-
     def _new_document(self, key: str, found: NamedDocument) -> Iterator[tuple[str, str, Any]]:
+        """The entry of a document, unless it is shipped or recorded already."""
         if not found.shipped and (key, found.reference) not in self._documents:
             self._documents.add((key, found.reference))
             yield DOCUMENT, f'{key} {found.reference}', (key, found.document)

@@ -161,7 +161,9 @@ def missing_packages_named(out: Path | None) -> Iterator[None]:
 
 def recorded_system(options: CampaignOptions, facts: Mapping[str, Any]) -> System:
     """What drives in the runs of a campaign, with the hashes of its facts."""
-    return options.system(facts['controller_sha256'], recorded_world(facts)[1])
+    return options.alone(
+        controller_sha256=facts['controller_sha256'], world_sha256=recorded_world(facts)[1],
+    )
 
 
 def package_words(kind: str, told: Mapping[str, str]) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -77,19 +76,14 @@ def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> di
             f'{out} was begun with {timing_words(facts["timing"])}, but the graph has '
             f'{timing_words(result.timing)}; start the original one, or choose another --out'
         )
-    if _same_perception(facts, found):
+    # The same network under any name, or both the ground truth.
+    name = 'perception_sha256' if facts['perception_sha256'] or result.fingerprint else 'perception'
+    if facts[name] == found[name]:
         return {}
     raise UsageError(
         f'{out} was begun with perception {_shown(facts)}, but the graph has {_shown(found)}; '
         'start the original one, or choose another --out'
     )
-
-
-def _same_perception(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two facts name the same network under any name, or both the ground truth."""
-    if one['perception_sha256'] or other['perception_sha256']:
-        return bool(one['perception_sha256'] == other['perception_sha256'])
-    return bool(one['perception'] == other['perception'])
 
 
 def _shown(facts: Mapping[str, Any]) -> str:
@@ -134,32 +128,23 @@ def unfinished_search(
             without a result that is now available; they need no run, and have the same result if
             nothing has changed.
     """
-    results = [_Result(*values) for values in content.values('index', 'outcome', 'retries')]
-    last = max((one.index for one in results if one.outcome.judged), default=-1)
+    results = list(content.values('index', 'outcome', 'retries'))
+    last = max((index for index, outcome, _ in results if outcome.judged), default=-1)
     unknown = frozenset([
         *content.facts.get(UNKNOWN_TO_SAMPLER, []),
-        *(one.index for one in results
-          if one.outcome is Outcome.INFRA_ERROR and one.index + lag <= last),
+        *(index for index, outcome, _ in results
+          if outcome is Outcome.INFRA_ERROR and index + lag <= last),
     ])
     broken = (
-        one.index for one in results
-        if one.index not in unknown and (one.retries or one.outcome is Outcome.INFRA_ERROR)
+        index for index, outcome, retries in results
+        if index not in unknown and (retries or outcome is Outcome.INFRA_ERROR)
     )
     sure = lag + min(broken, default=len(results))
     return unknown, content.only({
-        one.index for one in results
-        if one.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
-        or (one.outcome is Outcome.REJECTED and one.index >= sure)
+        index for index, outcome, _ in results
+        if outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
+        or (outcome is Outcome.REJECTED and index >= sure)
     })
-
-
-@dataclass(frozen=True, slots=True)
-class _Result:
-    """What must be known of each run to see which ones are repeated."""
-
-    index: int
-    outcome: Outcome
-    retries: int
 
 
 def check_same_campaign(

@@ -1,32 +1,132 @@
-"""One run as a table row: request and result, in display units."""
+"""One run as a table row: request and result, in display units; names and types of the columns.
+
+Every column has the same type in every table, even if all its values are missing, so tables of
+several campaigns can be concatenated.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 from taxinet_ros.bag.layout import is_bag_name, is_run_name
 from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
+from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import CATALOGUES, SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES, SCENARIO_FIELDS, is_point
 from taxinet_ros.core.signals import checked_signals
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.record.columns import LONGER
+
+POINT = 'u_'
+"""Prefix of the column of a dimension of the search space."""
+PREFIXES = {'point': POINT, 'free': 'free_', 'sigma': 'sigma_', 'signals': ''}
+"""Prefixes of the columns of a row's mappings; a table has those that some row has."""
+
+RHO = 'rho'
+"""Column that repeats the headline's robustness."""
+
+_RHO = 'rho_'
+
+REAL_TIME_FACTOR = 'real_time_factor'
+WALL_CLOCK_COLUMNS = ('wall_s', REAL_TIME_FACTOR)
+"""The last columns; all others are equal if the campaign is repeated."""
+
+_BEFORE_POINT = {
+    'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
+    'sampler': 'string', 'refused': 'Int64', 'weight': 'float64', 'drawn': 'boolean',
+}
+_BEFORE_RHO = {
+    'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
+    **{field.key: field.column_type for field in SCENARIO_FIELDS},
+    'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string',
+}
+_AFTER_RHO = {
+    'stopped_early': 'boolean', 'stopped_s': 'float64',
+    'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'settle_time_s': 'float64',
+    'cte_error_mean_m': 'float64', 'cte_error_mean_abs_m': 'float64',
+    'cte_error_max_abs_m': 'float64', 'he_error_mean_deg': 'float64',
+    'he_error_mean_abs_deg': 'float64', 'he_error_max_abs_deg': 'float64',
+    'unusable_estimates': 'Int64', 'steps': 'int64', 'sim_s': 'float64',
+    'retries': 'int64', 'bag': 'string', 'stack': 'string', 'wall_s': 'float64',
+    REAL_TIME_FACTOR: 'float64',
+}
+
+PLAIN_COLUMNS = {**_BEFORE_POINT, **_BEFORE_RHO, **_AFTER_RHO}
+"""Type of each column that has one value of a row, without robustness, point and free figures."""
+
+LONGER = {'fingerprint': 'perception_fingerprint'}
+"""Columns with a longer name than a row's attribute."""
+
+ATTRIBUTES = {column: name for name, column in LONGER.items()}
+"""Names of row attributes that are shorter than their column."""
+
+
+def rho_column(spec: str) -> str:
+    """Column of a formula's robustness; empty if a run was stopped before it was known."""
+    return _RHO + spec
+
+
+def specs_of(columns: Iterable[object]) -> list[str]:
+    """Names of the formulas that a table has a robustness of, headline first."""
+    # Formula names have no dot, which distinguishes them from interval ends.
+    return [
+        str(name).removeprefix(_RHO) for name in columns
+        if str(name).startswith(_RHO) and '.' not in str(name)
+    ]
+
+
+def column_types(
+    specs: Sequence[str], columns: Iterable[str]
+) -> dict[str, str]:
+    """Type of each column of a table, in its order.
+
+    Args:
+        specs: names of the formulas, headline first.
+        columns: names of the table's columns; of these, those with one of :data:`PREFIXES` and
+            those of control points count.
+    """
+    point, *figures = (
+        {name: 'float64' for name in columns if name.startswith(start)}
+        for start in PREFIXES.values() if start
+    )
+    figures.insert(0, {name: BY_KEY[name].column_type for name in columns if is_point(name)})
+    return {
+        **_BEFORE_POINT, **point,
+        **_BEFORE_RHO, RHO: 'float64',
+        **{
+            column(name): 'float64'
+            for column in (rho_column, lower_column, upper_column) for name in specs
+        },
+        **{name: kind for one in figures for name, kind in one.items()}, **_AFTER_RHO,
+    }
+
 
 SIMPLY_DRAWN = ('', 'random')
 """Samplers whose runs are all independent draws from the program; '' means no sampler."""
 
 
+_KINDS: Mapping[str, tuple[str, Any]] = {
+    'string': ('str', ''), 'boolean': ('bool | None', None), 'float64': ('float | None', None),
+}
+_SceneColumns: Any = dataclasses.make_dataclass('_SceneColumns', [
+    (known.key, kind, field(default=default)) for known in SCENARIO_FIELDS
+    for kind, default in [_KINDS[known.column_type]]
+], frozen=True, kw_only=True, slots=True)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RunRow:
+class RunRow(_SceneColumns):
     """One run of a campaign. Values that a run does not have are None, or '' for words.
+
+    The scenario's values are attributes by key (:mod:`taxinet_ros.core.scenario_fields`), None or
+    '' if no scene could be drawn.
 
     Attributes:
         run_id: unique name.
@@ -45,14 +145,6 @@ class RunRow:
             each did at once. A free run is not reproducible.
         free: figures of a free run by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
-        cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
-            crossing, aircraft, wind_speed_mps, wind_direction_deg, gust_mps, gust_seed,
-            runway_state, slope_percent, speed_mps, track, camera_dropout_percent, camera_freeze_s,
-            lens_dirt_percent, lens_drops_percent, glare_ghost_percent, exposure_jump_ev,
-            loop_delay_s, loop_jitter_s, steering_bias_deg, steering_rate_limit_degps,
-            fault_onset_s, fault_seed, traffic, camera, sensors, gnss_noise_m, gnss_bias_m,
-            gnss_dropout_start_s, gnss_dropout_s, datarefs, duration_s, place: the scenario,
-            see :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         signals: its control points by key, see :mod:`taxinet_ros.core.signals`.
         outcome: how the run ended.
         kind, who, detail: why a run was not judged: kind of error, what failed, and one line.
@@ -92,52 +184,6 @@ class RunRow:
     fingerprint: str = ''
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
-    cross_track_m: float | None = None
-    distance_m: float | None = None
-    heading_deg: float | None = None
-    clouds: str = ''
-    rain_percent: float | None = None
-    time_of_day_h: float | None = None
-    date: str = ''
-    shadows: bool | None = None
-    crossing: bool | None = None
-    aircraft: str = ''
-    wind_speed_mps: float | None = None
-    wind_direction_deg: float | None = None
-    gust_mps: float | None = None
-    gust_seed: float | None = None
-    runway_state: str = ''
-    slope_percent: float | None = None
-    speed_mps: float | None = None
-    track: str = ''
-    camera_dropout_percent: float | None = None
-    camera_freeze_s: float | None = None
-    lens_dirt_percent: float | None = None
-    lens_drops_percent: float | None = None
-    glare_ghost_percent: float | None = None
-    exposure_jump_ev: float | None = None
-    loop_delay_s: float | None = None
-    loop_jitter_s: float | None = None
-    steering_bias_deg: float | None = None
-    steering_rate_limit_degps: float | None = None
-    fault_onset_s: float | None = None
-    fault_seed: float | None = None
-    traffic: str = ''
-    camera: str = ''
-    camera_dx_m: float | None = None
-    camera_dy_m: float | None = None
-    camera_dz_m: float | None = None
-    camera_droll_deg: float | None = None
-    camera_dpitch_deg: float | None = None
-    camera_dyaw_deg: float | None = None
-    sensors: str = ''
-    gnss_noise_m: float | None = None
-    gnss_bias_m: float | None = None
-    gnss_dropout_start_s: float | None = None
-    gnss_dropout_s: float | None = None
-    datarefs: str = ''
-    duration_s: float | None = None
-    place: str = ''
     signals: Mapping[str, float | str] = field(default_factory=dict)
     kind: str = ''
     who: str = ''

@@ -15,19 +15,24 @@ from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically, write_parquet
-from taxinet_ros.trials.record.columns import (
+from taxinet_ros.trials.record.content import (
+    CampaignContent,
+    RecordedRows,
+    StoredRows,
+    read_campaign,
+    with_defaults,
+)
+from taxinet_ros.trials.record.facts import STACKS, is_campaign, recorded_stacks
+from taxinet_ros.trials.record.row import (
     ATTRIBUTES,
     PLAIN_COLUMNS,
     PREFIXES,
     RHO,
+    RunRow,
     column_types,
     rho_column,
     specs_of,
 )
-from taxinet_ros.trials.record.content import CampaignContent, StoredRows, read_campaign
-from taxinet_ros.trials.record.facts import STACKS, is_campaign, recorded_stacks
-from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.record.rows import RecordedRows, with_defaults
 
 if TYPE_CHECKING:  # slow import that should not delay a run
     import pandas as pd

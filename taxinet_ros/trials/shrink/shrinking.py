@@ -2,7 +2,8 @@
 
 Its folder is a campaign folder. The next run depends only on the results, so a resumed shrinking
 takes those of earlier sessions by their scenes. Runs without a verdict are repeated under their old
-numbers, so the table equals that of an uninterrupted one.
+numbers, so the table equals that of an uninterrupted one. A :class:`Report` says what each
+parameter has to do with the failure.
 """
 
 from __future__ import annotations
@@ -12,31 +13,36 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.table import Table
+from rich.text import Text
+
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
-from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
 from taxinet_ros.core.verdict.outcome import Outcome
-from taxinet_ros.core.world import find_world
-from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.engine import Proposer, with_workers
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.trials.engine import Engine, Proposer, with_workers
 from taxinet_ros.trials.options import (
+    AUDIT,
     DEFAULT_ROOT,
     CampaignOptions,
     make_options,
     new_folder,
 )
-from taxinet_ros.trials.past_runs.judged_run import JudgedRun, find_run
+from taxinet_ros.trials.past_runs.recorded_campaign import JudgedRun, check_unchanged, find_run
 from taxinet_ros.trials.record.content import CampaignContent
 from taxinet_ros.trials.record.facts import facts_of_runs
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED, Point, ShrinkSearch
-from taxinet_ros.trials.shrink.space import STEPS, ShrinkSpace, make_shrink_space
+from taxinet_ros.trials.run_command import RunSettings
+from taxinet_ros.trials.shrink.algorithm import LEAST_ASKED, End, Point, ShrinkSearch, State
+from taxinet_ros.trials.shrink.space import STEPS, Parameter, ShrinkSpace, make_shrink_space
+from taxinet_ros.trials.summary import participants_words, scene_words, workers_words
 
 PROGRAM = 'shrink'
 """Program name of runs without a program, in run names and in the table."""
@@ -166,34 +172,35 @@ def make_shrinking(
     if runs < LEAST_ASKED:
         raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
     run = find_run(path)
-    _check_repeatable(path, run)
+    if why := run.not_again:
+        raise UsageError(
+            f'{path}: {why}, so nothing tells a scenario that matters from chance; shrink a run '
+            'in lockstep'
+        )
     _check_failed(path, run, other_specs=bool(specs))
     space = make_shrink_space(run.scenario, nominal)
     if out is None and not resume:
         out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
+    if perception is None:
+        perception = run.perception
+        check_unchanged(
+            'perception', perception, lambda: check_perception(run.perception, graph=True),
+            run.fingerprint, 'say with --perception where it is, or to take it as it is',
+        )
+    if not controller:
+        controller = run.controller
+        check_unchanged(
+            'controller', controller, lambda: check_controller(run.controller, graph=True),
+            run.controller_sha256, 'say with --controller what to steer with',
+        )
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, out=out, images=images, resume=resume,
-        perception=_perception(run) if perception is None else perception,
-        controller=controller or _controller(run), specs=specs or run.specs, world=run.world,
+        perception=perception, controller=controller, specs=specs or run.specs, world=run.world,
         **others,
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     campaign = dataclasses.replace(campaign, gains=gains, timing=run.timing)
     return Shrinking(run, space, with_workers(campaign, workers, cluster))
-
-
-def _check_repeatable(path: Path, run: JudgedRun) -> None:
-    why = f'a free run: {NOT_REPRODUCIBLE}' if run.timing.free else ''
-    way_out = '; shrink a run that failed with --latency' if why else ''
-    if not why:
-        try:
-            why = find_world(run.world, run.world_fingerprint).again_words
-        except UsageError as error:
-            raise UsageError(f'{run.run_id}: {error}') from error
-    if why:
-        raise UsageError(
-            f'{path}: {why}, so nothing tells a scenario that matters from chance{way_out}'
-        )
 
 
 def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
@@ -209,37 +216,217 @@ def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
         )
 
 
-def _perception(run: JudgedRun) -> str:
-    """The perception that failed."""
-    try:
-        now = check_perception(run.perception, graph=True)
-    except UsageError as error:
-        raise UsageError(f'{run.run_id}: {error}; say with --perception where it is') from error
-    if now != run.fingerprint and not is_node_elsewhere(run.perception):
-        raise UsageError(
-            f'{run.run_id}: perception {run.perception} is {now[:12] or "without weights"} now, it '
-            f'was {run.fingerprint[:12] or "without weights"}; --perception {run.perception} takes '
-            'it as it is'
-        )
-    return run.perception
-
-
-def _controller(run: JudgedRun) -> str:
-    """Controller of the failed run."""
-    try:
-        now = check_controller(run.controller, graph=True)
-    except UsageError as error:
-        raise UsageError(
-            f'{run.run_id}: {error}; say with --controller what to steer with'
-        ) from error
-    if now != run.controller_fingerprint and not is_node_elsewhere(run.controller):
-        raise UsageError(
-            f'{run.run_id}: controller {run.controller} is {now[:12]} now, it was '
-            f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
-        )
-    return run.controller
-
-
 def _key(scene: Mapping[str, Any]) -> str:
     """Key of a scene in human units."""
     return json.dumps(scene)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Finding:
+    """Result for one parameter, in human units; None for values that were not run.
+
+    Attributes:
+        key: name of the parameter.
+        original, nominal, shrunk: its value in the failed, the nominal and the shrunk scenario.
+        rho_in_original, rho_in_shrunk: robustness of either with this parameter set to nominal.
+        passes_at: the value one step nearer to nominal than ``shrunk``, if it passes.
+        rho_passes_at: robustness there, above 0.
+    """
+
+    key: str
+    original: Any
+    nominal: Any
+    shrunk: Any
+    rho_in_original: float | None = None
+    rho_in_shrunk: float | None = None
+    passes_at: Any = None
+    rho_passes_at: float | None = None
+
+    @property
+    def off_nominal(self) -> bool:
+        """Whether it differs from nominal in the shrunk scenario."""
+        return bool(self.shrunk != self.nominal)
+
+    @property
+    def matters(self) -> bool | None:
+        """Whether the shrunk scenario passes with it at nominal; None if that was not run."""
+        if not self.off_nominal:
+            return False
+        return None if self.rho_in_shrunk is None else self.rho_in_shrunk > 0
+
+    def words(self, value: Any) -> str:
+        """A value of the parameter, with its unit."""
+        return BY_KEY[self.key].value_words(value)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Report:
+    """Result of a shrinking.
+
+    Attributes:
+        state: progress of the search, and why it ended.
+        findings: one for each parameter.
+        scenario: the shrunk scenario.
+        original, nominal, shrunk: rows of the three runs; None if missing.
+        dry: whether nominal clouds also remove the rain, since no rain falls from that sky.
+    """
+
+    state: State
+    findings: tuple[Finding, ...]
+    scenario: Scenario
+    original: RunRow | None
+    nominal: RunRow | None
+    shrunk: RunRow | None
+    dry: bool
+
+
+def make_report(shrinking: Shrinking) -> Report:
+    """Report of the results so far."""
+    space, search = shrinking.space, shrinking.search
+    state = search.state
+    axes = {one.key: number for number, one in enumerate(space.moving)}
+    return Report(
+        state=state,
+        findings=tuple(
+            _finding(shrinking, one, axes[one.key], state.at) if one.key in axes
+            else Finding(key=one.key, original=one.values[0], nominal=one.values[0],
+                         shrunk=one.values[0])
+            for one in space.parameters
+        ),
+        scenario=space.scenario(state.at),
+        original=shrinking.judged.get(search.start), nominal=shrinking.judged.get(search.origin),
+        shrunk=shrinking.judged.get(state.at),
+        dry=space.original.rain_fraction > 0 and space.nominal.clouds not in RAIN_CLOUDS,
+    )
+
+
+def check_run(engine: Engine[Shrinking], found: Report) -> None:
+    """Check that the runs have a result, and that the original one failed again.
+
+    Raises:
+        InfraError: the test bench failed.
+        UsageError: the run does not fail again.
+    """
+    if (row := engine.broken) is not None:
+        often = '' if row.kind == AUDIT else 'twice '
+        detail = (
+            f'{row.detail or row.outcome} ({often}in run {row.run_id}; continue with --resume)'
+        )
+        raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
+    if found.state.end is not End.NOT_REPRODUCED:
+        return
+    shrinking = engine.proposer
+    assert found.original is not None
+    name = shrinking.headline
+    interval = shrinking.run.robustness.get(name)
+    before = f', recorded as {interval.bound_words().removeprefix("rho ")}' if interval else ''
+    raise UsageError(
+        f'{shrinking.run.run_id}: not reproduced: on rerun, {name} has rho '
+        f'{found.original.rho[name]:+.2f}{before}; was it recorded with another version, '
+        'perception or gains?'
+    )
+
+
+def _finding(shrinking: Shrinking, one: Parameter, axis: int, at: Point) -> Finding:
+    search, steps = shrinking.search, at[axis]
+    beside = search.rho(search.moved(at, axis, steps - 1)) if steps else None
+    passes = beside if beside is not None and beside > 0 else None
+    return Finding(
+        key=one.key, original=one.values[-1], nominal=one.values[0], shrunk=one.values[steps],
+        rho_in_original=search.rho(search.moved(search.start, axis, 0)),
+        rho_in_shrunk=search.rho(search.moved(at, axis, 0)) if steps else None,
+        passes_at=None if passes is None else one.values[steps - 1], rho_passes_at=passes,
+    )
+
+
+_MATTERS = {
+    True: Text('matters', style='bold red'), False: Text('does not matter', style='dim'),
+    None: Text('not known', style='dim'),
+}
+
+
+def shrink_heading(shrinking: Shrinking) -> str:
+    """Heading that describes the shrinking."""
+    campaign, run = shrinking.campaign, shrinking.run
+    verb = 'resuming to shrink' if campaign.resume else 'shrinking'
+    interval = run.robustness.get(shrinking.headline)
+    rho = f', {interval.bound_words()}' if interval else ''
+    return (
+        f'{verb} {run.run_id} ({shrinking.headline}{rho}), {participants_words(campaign)}, '
+        f'{workers_words(campaign)} -> {campaign.out}'
+    )
+
+
+def parameter_table(report: Report) -> Table:
+    """Every parameter with its three values, and whether it matters."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column('parameter', no_wrap=True)
+    for name in ('original', 'nominal', 'shrunk', 'rho in\noriginal', 'rho in\nshrunk'):
+        table.add_column(name, justify='right', no_wrap=True)
+    table.add_column('verdict', no_wrap=True)
+    for one in report.findings:
+        verdict = _MATTERS[one.matters]
+        if one.original == one.nominal:
+            verdict = Text('nominal already', style='dim')
+        table.add_row(
+            one.key, one.words(one.original), one.words(one.nominal), one.words(one.shrunk),
+            _rho(one.rho_in_original), _rho(one.rho_in_shrunk), verdict,
+        )
+    return table
+
+
+def finding_lines(report: Report) -> list[str]:
+    """Lines that explain the table and where the failure begins."""
+    lines = ['rho in original, in shrunk: of that run with this one parameter made nominal']
+    if report.dry:
+        lines[0] += ' (a clear sky is dry too)'
+    for one in report.findings:
+        if one.matters and one.passes_at is not None and one.rho_passes_at is not None:
+            lines.append(f'{one.key}: {edge_words(one)}')
+        if one.matters and one.rho_in_original is not None and one.rho_in_original <= 0:
+            lines.append(f'{one.key}: the original fails without it too, so it has another cause')
+    return lines
+
+
+def edge_words(one: Finding) -> str:
+    """Text on where the failure begins along one parameter, others as in the shrunk run."""
+    fails, passes = one.words(one.shrunk), one.words(one.passes_at)
+    return f'{fails} fails, {passes} passes (rho {one.rho_passes_at:+.2f})'
+
+
+def off_nominal(report: Report) -> str:
+    """Short description of the shrunk scenario: its parameters that are not nominal."""
+    words = [
+        f'{one.key} {one.words(one.shrunk)}' for one in report.findings if one.off_nominal
+    ]
+    return ', '.join(words) or 'everything nominal'
+
+
+def result_lines(report: Report, shrinking: Shrinking, wall_s: float) -> list[str]:
+    """Lines on how the shrinking ended and its cost."""
+    lines = [_ended(report)] if report.state.end is not End.MINIMAL else []
+    if report.shrunk is not None:
+        rho = report.shrunk.rho[shrinking.headline]
+        lines.append(
+            f'shrunk: run {report.shrunk.index}, rho {rho:+.2f}: {scene_words(report.shrunk)}'
+        )
+    took = ' in all' if shrinking.campaign.resume else f' in {wall_s:.0f} s'
+    lines.append(f'{len(shrinking.judged)} runs{took}')
+    return lines
+
+
+def run_command(shrinking: Shrinking, program: str) -> str:
+    """Shell command to run the shrunk scenario."""
+    return RunSettings.of_options(shrinking.campaign).command(program)
+
+
+def _rho(value: float | None) -> str:
+    return '' if value is None else f'{value:+.2f}'
+
+
+def _ended(report: Report) -> str:
+    if report.state.end is End.NOMINAL_FAILS:
+        return 'the nominal scenario fails itself, so no parameter matters; see --nominal'
+    if report.state.end is End.SPENT:
+        return 'ended before it was minimal: --runs are spent; --resume with more goes on'
+    return 'ended before it was minimal; --resume goes on'

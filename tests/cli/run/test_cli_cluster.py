@@ -10,7 +10,7 @@ import pytest
 from taxinet_process import taxinet
 
 import taxinet_ros as tx
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import read_table
 
 SEARCH = (

@@ -15,9 +15,9 @@ from process_table import gone
 from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.facts import read_facts
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import read_table
 
 pytestmark = pytest.mark.ros

@@ -20,8 +20,8 @@ from waiting import wait_for
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.samplers.sampler import LAG
 from taxinet_ros.trials.learned_result import LearnedResult
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import read_table
 
 WORDS = [

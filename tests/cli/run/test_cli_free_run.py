@@ -78,7 +78,7 @@ def test_r5_given_bags_of_free_and_other_runs_then_monitor_marks_them_and_counts
 
 
 def test_r5_given_free_runs_then_a_search_or_a_localisation_of_them_is_refused(folder, tmp_path):
-    with pytest.raises(UsageError, match='free runs: free runs depend on the speed of'):
+    with pytest.raises(UsageError, match='free runs depend on the speed of'):
         make_localize_options(folder, runs=None, words=(), workers=1, out=tmp_path / 'never',
                               perception=None)
     answer = RunResult(outcome=Outcome.PASS, robustness=exact_intervals({'near': 1.0}),

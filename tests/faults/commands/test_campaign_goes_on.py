@@ -18,7 +18,7 @@ from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.nodes.running.domain import own_domain
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]

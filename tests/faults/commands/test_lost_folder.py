@@ -12,8 +12,8 @@ from campaign_records import results
 from command_process import ended, small_disk, taxinet
 from waiting import wait_for
 
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import read_table
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]

@@ -20,7 +20,7 @@ from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.trials.past_runs.judged_run import find_run
+from taxinet_ros.trials.past_runs.recorded_campaign import find_run
 from taxinet_ros.trials.shrink.shrinking import make_shrinking
 
 pytestmark = pytest.mark.ros
@@ -136,7 +136,7 @@ def test_r5_given_the_bag_of_a_free_run_then_it_is_whole_and_can_be_driven_again
 def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slow, tmp_path):
     _, bag = slow
     assert find_run(bag).timing.free
-    with pytest.raises(UsageError, match='a free run: free runs depend on the speed'):
+    with pytest.raises(UsageError, match='free runs depend on the speed'):
         make_shrinking(
             bag, perception='truth', specs=('phi_always',), runs=100, out=tmp_path / 'never'
         )

@@ -12,8 +12,14 @@ from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import write_sealed
-from taxinet_ros.study.improve.loop import BEST, improve_network
-from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
+from taxinet_ros.study.improve.loop import (
+    BEST,
+    FALSIFY,
+    JUDGE,
+    TRAIN,
+    ImproveOptions,
+    improve_network,
+)
 from taxinet_ros.study.stages.run import StoppedError
 from taxinet_ros.trials.record.row import RunRow
 

@@ -19,7 +19,7 @@ from taxinet_ros.samplers.space import Dimension
 from taxinet_ros.scenes.search_space import Choice, Piece
 from taxinet_ros.study.stages.config import StudyConfig, read_config, shipped_config
 from taxinet_ros.study.stages.plan import LOCALIZE, PAPER_RULE, campaign_of, search_of
-from taxinet_ros.study.stages.record import OPTIONS, STAGE, StageRecord, open_study
+from taxinet_ros.study.stages.run import OPTIONS, STAGE, StageRecord, open_study
 from taxinet_ros.trials.learned_result import Evidence, LearnedResult
 from taxinet_ros.trials.record.row import RunRow
 

@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 from taxinet_ros.study.report.claim import (
     SIGNIFICANT,
-    Question,
+    Claim,
     Sides,
     Verdict,
     evenly_often,
@@ -294,8 +294,8 @@ def test_paper_given_groups_that_lie_apart_then_the_lower_one_is_known() -> None
 
 def test_paper_given_twenty_statements_of_nothing_then_one_that_is_just_significant_is_not_enough(
 ) -> None:
-    def question(number: int, if_false: float) -> Question:
-        return Question(name=f'{number}', statement='', source='', evidence='',
+    def question(number: int, if_false: float) -> Claim:
+        return Claim(name=f'{number}', statement='', source='', evidence='',
                         sides=Sides(if_false, 1 - if_false))
 
     alone = judge([question(0, 0.01)])

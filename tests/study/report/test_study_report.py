@@ -15,6 +15,7 @@ from study_examples import FAILING, PROBABILITIES, RUNS, made_up_study
 
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.study.report.claim import Verdict
 from taxinet_ros.study.report.paper import judge_claims
 from taxinet_ros.study.report.report import (
@@ -25,9 +26,9 @@ from taxinet_ros.study.report.report import (
     write_study_report,
 )
 from taxinet_ros.study.report.results import read_results
-from taxinet_ros.study.stages.config import study_of
+from taxinet_ros.study.stages.config import StudyConfig
 from taxinet_ros.study.stages.plan import campaign_of
-from taxinet_ros.study.stages.record import read_options
+from taxinet_ros.study.stages.run import read_options
 
 __all__ = ['browser']
 
@@ -43,7 +44,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope='module')
 def found(study: Path) -> StudyFindings:
     """What is in that study's folder, read once more."""
-    return gather_findings(study_of(read_options(study, 'case-study', '')), study)
+    return gather_findings(typed(StudyConfig, read_options(study, 'case-study', '')), study)
 
 
 def values(study: Path) -> dict[str, Any]:

@@ -19,8 +19,7 @@ from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.processes.interrupts import interrupts
 from taxinet_ros.study.stages.config import StudyConfig, read_config, scaled, shipped_config
 from taxinet_ros.study.stages.plan import stages
-from taxinet_ros.study.stages.record import open_study, read_stages
-from taxinet_ros.study.stages.run import StoppedError, StudyRun
+from taxinet_ros.study.stages.run import StoppedError, StudyRun, open_study, read_stages
 from taxinet_ros.study.stages.stage import Stage
 
 

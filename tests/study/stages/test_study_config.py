@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import typed
 from taxinet_ros.study.stages.config import (
+    StudyConfig,
     read_config,
     resized,
     scaled,
     shipped_config,
-    study_of,
 )
-from taxinet_ros.study.stages.record import OPTIONS, open_study, read_options
+from taxinet_ros.study.stages.run import OPTIONS, open_study, read_options
 
 SHIPPED = read_config(shipped_config())
 
@@ -130,7 +131,7 @@ def test_given_a_study_that_was_begun_then_its_numbers_come_back(tmp_path):
     small = scaled(SHIPPED, 0.02)
     with open_study(tmp_path, print) as record:
         record.put(OPTIONS, 'case-study', dataclasses.asdict(small))
-    assert study_of(read_options(tmp_path, 'case-study', '--resume')) == small
+    assert typed(StudyConfig, read_options(tmp_path, 'case-study', '--resume')) == small
     for folder, command in ((tmp_path, 'improve'), (tmp_path / 'elsewhere', 'case-study')):
         refusal = f'--report-only: {folder}: no study of taxinet {command}'
         with pytest.raises(UsageError, match=refusal):

@@ -16,9 +16,14 @@ from taxinet_ros.cli.study.case_study import case_study
 from taxinet_ros.errors import InfraError, RecordError, UsageError
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.study.stages.plan import stages
-from taxinet_ros.study.stages.progress import State, state_of
-from taxinet_ros.study.stages.record import StageRecord, open_study, read_stages
-from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.run import (
+    StageRecord,
+    State,
+    StudyRun,
+    open_study,
+    read_stages,
+    state_of,
+)
 from taxinet_ros.study.stages.stage import Stage
 from taxinet_ros.training.data import unfinished
 from taxinet_ros.trials.doctor import examine

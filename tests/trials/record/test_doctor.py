@@ -21,14 +21,15 @@ from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.atomic import draft_path
 from taxinet_ros.files.record import RECORD_NAME, Record
 from taxinet_ros.trials.doctor import examine
-from taxinet_ros.trials.past_runs.judged_run import bag_differences, find_run
 from taxinet_ros.trials.past_runs.recorded_campaign import (
+    bag_differences,
+    find_run,
     open_campaign,
     open_failed_campaign,
     scenario_of_row,
 )
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.content import read_campaign
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS
 from taxinet_ros.trials.record.table import CSV_NAME, PARQUET_NAME, read_table
 
 RUNS = 4

@@ -13,7 +13,7 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import differences, provenance
 from taxinet_ros.core.scenario_fields import BY_KEY
-from taxinet_ros.study.stages.record import StageRecord, stack_warning
+from taxinet_ros.study.stages.run import StageRecord, stack_warning
 from taxinet_ros.trials import search as search_module
 from taxinet_ros.trials.record import facts as facts_module
 from taxinet_ros.trials.record.content import read_campaign

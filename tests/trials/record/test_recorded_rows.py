@@ -17,12 +17,10 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, Record
-from taxinet_ros.trials.record import content
-from taxinet_ros.trials.record import rows as module
-from taxinet_ros.trials.record.content import ROW, StoredRows, run_key
+from taxinet_ros.trials.record import content as module
+from taxinet_ros.trials.record.content import ROW, RecordedRows, StoredRows, run_key, values_of
 from taxinet_ros.trials.record.facts import STACKS
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.record.rows import RecordedRows, values_of
 from taxinet_ros.trials.record.table import (
     CSV_NAME,
     PARQUET_NAME,
@@ -151,7 +149,7 @@ def test_given_what_columns_cannot_say_then_rows_are_read_one_by_one(
 @pytest.fixture
 def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[StoredRows, list[RunRow]]:
     """Rows of which some are in a record only."""
-    monkeypatch.setattr(content, 'FEW', 4)
+    monkeypatch.setattr(module, 'FEW', 4)
     rows = [dataclasses.replace(one, point={'x': 0.1} if one.index == 13 else {})
             for one in some(19)]
     found = StoredRows(tmp_path / RECORD_NAME, (), {})

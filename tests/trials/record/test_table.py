@@ -21,8 +21,7 @@ from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.verdict.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import failure_rate, rate
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS, RunRow
 from taxinet_ros.trials.record.table import read_table, table, write_tables
 
 SPECS = ('phi_eventually', 'phi_always')

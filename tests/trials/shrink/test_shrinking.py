@@ -25,22 +25,22 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.scenes.source import sample_scenarios
 from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.past_runs.judged_run import find_run
-from taxinet_ros.trials.record.columns import WALL_CLOCK_COLUMNS
+from taxinet_ros.trials.past_runs.recorded_campaign import find_run
 from taxinet_ros.trials.record.content import read_campaign
-from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.record.row import WALL_CLOCK_COLUMNS, RunRow
 from taxinet_ros.trials.record.table import read_table
 from taxinet_ros.trials.shrink.algorithm import End
-from taxinet_ros.trials.shrink.report import (
+from taxinet_ros.trials.shrink.shrinking import (
     Report,
+    Shrinking,
     _finding,
     finding_lines,
     make_report,
+    make_shrinking,
     parameter_table,
     result_lines,
     run_command,
 )
-from taxinet_ros.trials.shrink.shrinking import Shrinking, make_shrinking
 from taxinet_ros.trials.shrink.space import make_shrink_space
 
 NAME = 'phi_eventually'
@@ -316,7 +316,8 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         {'outcome': Outcome.REJECTED, 'distance_m': None}, {}, 'no scene was drawn'),
     'other weights': (
         {'fingerprint': 'ab' * 32}, {},
-        'truth is without weights now, it was abababababab; --perception truth'),
+        'truth is without weights here, and was sha256 abababababab… in the runs; say with '
+        '--perception where it is'),
     'lost file': ({'perception': 'gone.onnx'}, {}, 'say with --perception where it is'),
 }
 
