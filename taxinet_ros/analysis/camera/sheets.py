@@ -109,8 +109,8 @@ def _sheet(
     size = (
         left_px + _GAP_PX + across * max(map(len, rows)), head_px + _GAP_PX + down * len(rows),
     )
-    # Half a pixel, as a size that is a little too small would lose a whole one.
-    figure = Figure(figsize=[(side + 0.5) / _DPI for side in size], dpi=_DPI)
+    # Half a pixel more, as a size that is a little too small would lose a whole one.
+    figure = Figure(figsize=((size[0] + 0.5) / _DPI, (size[1] + 0.5) / _DPI), dpi=_DPI)
     figure.text(_GAP_PX + 2, size[1] - 2 * _GAP_PX, title, fontsize=px, va='top',
                 transform=IdentityTransform())
     corners: list[list[tuple[int, int]]] = []
