@@ -9,9 +9,11 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
+from PIL import Image
 
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -21,6 +23,8 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 
 Picture = NDArray[np.uint8]
+DESCRIBED = Path(__file__).with_name('described.j2')
+"""What is said of places, aircraft and cameras."""
 _GAP_PX, _DPI = 6, 72
 """At this resolution sizes of letters are in pixels."""
 _FONT_SHARE = 22
@@ -60,7 +64,7 @@ def contact_sheet(
     for (left, top), caption in zip(chain.from_iterable(corners), captions, strict=True):
         figure.text(left + 2, top - height - 2, caption, fontsize=px, va='top',
                     transform=IdentityTransform())
-    figure.savefig(path, format='png', metadata={'Software': None})
+    _save(figure, path)
 
 
 def grid_sheet(
@@ -90,7 +94,7 @@ def grid_sheet(
     for row, ((left, top), *_) in zip(rows, corners, strict=True):
         figure.text(left - 2 * _GAP_PX, top - height / 2, row, fontsize=px, ha='right',
                     va='center', multialignment='right', transform=IdentityTransform())
-    figure.savefig(path, format='png', metadata={'Software': None})
+    _save(figure, path)
 
 
 def _largest(images: Sequence[Picture]) -> tuple[int, int]:
@@ -123,6 +127,12 @@ def _sheet(
                 top - (height + image.shape[0]) // 2, origin='upper',
             )
     return figure, corners
+
+
+def _save(figure: Figure, path: Path) -> None:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3]).save(path, format='PNG')
 
 
 HOURS = (6.0, 6.5, 7.0, 9.0, 12.0, 14.0, 15.5, 17.0, 17.5)

@@ -41,7 +41,7 @@ def show_camera(
     ] = None,
 ) -> None:
     """Describe a camera, and with --out draw what it sees and where it looks, or list all."""
-    from taxinet_ros.analysis.camera.rig_pictures import camera_lines, draw_camera
+    from taxinet_ros.analysis.camera.rig_pictures import camera_text, draw_camera
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
     from taxinet_ros.core.camera.airframe import covering_doubts
     from taxinet_ros.core.motion.aircraft import checked_aircraft
@@ -58,8 +58,7 @@ def show_camera(
     path = None if out is None else new_picture(out, '')
     if yaml is not None:
         _write_camera(found, yaml)
-    for label, text in camera_lines(found):
-        print(f'{label:<12}{text}')
+    print(camera_text(found))
     if path is not None:
         write_picture(path, lambda: draw_camera(found, on, path))
     tell_doubts(covering_doubts(on, found))
