@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from taxinet_ros.cli.options import JsonOption
-from taxinet_ros.cli.show import line_console, print_json
+from taxinet_ros.cli.show import line_console, print_json, print_table
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -89,7 +89,10 @@ def coverage(
         before, after = coverage_lines(found, odd, runs)
         console = line_console(width=WIDTH)
         console.print(before)
-        console.print(_cell_table(found), soft_wrap=False)
+        print_table(
+            console, ('parameter', 'cell', 'runs', 'failed', 'failing (95 %)'), _cells(found),
+            left=2,
+        )
         console.print(after)
     if plot is not None:
         write_atomically(plot, png_bytes(coverage_picture(found), LIGHT))
@@ -98,21 +101,14 @@ def coverage(
     return ExitCode.OK
 
 
-def _cell_table(found: OddCoverage) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column('parameter', no_wrap=True)
-    table.add_column('cell', no_wrap=True)
-    for heading in ('runs', 'failed', 'failing (95 %)'):
-        table.add_column(heading, justify='right', no_wrap=True)
+def _cells(found: OddCoverage) -> Iterator[tuple[str, ...]]:
     for one in found.cells:
         parameter = found.odd.parameters[one.parameter]
-        table.add_row(
+        yield (
             parameter.field.label if one.cell == 0 else '', parameter.cells[one.cell].label,
             f'{one.rate.runs:,}', f'{one.rate.failures:,}', _rate_words(one.rate),
         )
-    table.add_row('', 'all', f'{found.inside:,}', f'{found.rate.failures:,}',
-                  _rate_words(found.rate))
-    return table
+    yield '', 'all', f'{found.inside:,}', f'{found.rate.failures:,}', _rate_words(found.rate)
 
 
 def _rate_words(rate: GroupRate) -> str:
