@@ -82,7 +82,7 @@ def grid_sheet(
     """
     height, width = _largest([image for row in tiles for image in row])
     # A sheet is viewed as a whole, so its headings scale with it, not with its pictures.
-    px = max(width // _FONT_SHARE, 10, len(columns) * width // _HEADING_SHARE)
+    px = max(round(1.4 * max(width // _FONT_SHARE, 10)), len(columns) * width // _HEADING_SHARE)
     longest = max(len(line) for row in rows for line in row.split('\n'))
     figure, corners = _sheet(
         tiles, (height, width), title, px, left_px=round(_LETTER * px * longest) + 3 * _GAP_PX,
