@@ -25,8 +25,9 @@ from rich.console import Console
 from taxinet_ros.bench.measure import Subject, machine_facts
 from taxinet_ros.bench.report import find_ratios, make_report
 from taxinet_ros.bench.run import Maker, measure_all
-from taxinet_ros.cli.bench.commands import print_report, print_table, time_text
+from taxinet_ros.cli.bench.commands import print_report, time_text
 from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.show import print_table
 
 ALONE: dict[str, Callable[[], list[Subject]]] = {
     'camera': components.camera_subjects,

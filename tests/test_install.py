@@ -20,7 +20,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 import taxinet_ros
-from taxinet_ros.cli.messages import run_setup_messages
+from taxinet_ros.cli.messages import setup_messages
 from taxinet_ros.errors import UsageError
 
 pytestmark = pytest.mark.nightly
@@ -266,7 +266,7 @@ def test_given_a_folder_without_package_when_messages_are_set_up_then_it_is_name
     tmp_path: Path,
 ) -> None:
     with pytest.raises(UsageError, match='no package of ROS 2, without package'):
-        run_setup_messages([tmp_path])
+        setup_messages([tmp_path])
 
 
 def test_given_the_action_when_imported_then_it_carries_a_scenario() -> None:

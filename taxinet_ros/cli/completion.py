@@ -34,11 +34,6 @@ _AFTER_BREAK = re.compile(r'.*[=:]', re.DOTALL)
 Completer = Callable[[str], list[str]]
 
 
-def complete_perception(incomplete: str) -> list[str]:
-    """Perceptions by name that begin so."""
-    return _begin(names(PERCEPTIONS), incomplete)
-
-
 def complete_fallback(incomplete: str) -> list[str]:
     """What a monitor may do, ``second:`` with the perceptions by name."""
     from taxinet_ros.core.assurance.switch import SECOND, SLOW, STOPPING, WATCH
@@ -130,6 +125,7 @@ complete_program = shipped('scenes.programs:known_programs')
 complete_experiment = shipped('trials.experiment:known_experiments')
 complete_odd = shipped('trials.odd.odd_file:known_odds')
 complete_aircraft = shipped('core.rig.catalogue:AIRCRAFT.shipped')
+complete_perception = registered(PERCEPTIONS)
 complete_sampler = registered(SAMPLERS)
 complete_controller = registered(CONTROLLERS)
 complete_world = registered(WORLDS)

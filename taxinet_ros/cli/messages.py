@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -22,26 +21,12 @@ def setup_messages(
         metavar='[FOLDER]...', show_default=False,
         help='more interface packages to build, such as a checkout of simulation_interfaces',
     )] = None,
-) -> None:
+) -> int:
     """Build the ROS 2 messages into this virtual environment, once after pip install.
 
     Needs the extra ros and a C++ compiler; make does it by itself. Without messages, --engine loop,
-    import taxinet_ros and the analysis of recordings work all the same.
-    """
-    raise typer.Exit(run_setup_messages(packages or ()))
-
-
-def run_setup_messages(packages: Sequence[Path] = ()) -> int:
-    """Build the messages into this environment, unless they are up to date.
-
-    Args:
-        packages: folders of more interface packages to build.
-
-    Returns:
-        Exit code: 0, or 4 if the build failed, whose last lines have been printed.
-
-    Raises:
-        UsageError: this environment cannot hold them, or something that builds them is missing.
+    import taxinet_ros and the analysis of recordings work all the same. Exit code 4 if the build
+    failed.
     """
     prefix = Path(sys.prefix)
     builder = message_sources(prefix) / _BUILDER
@@ -57,10 +42,10 @@ def run_setup_messages(packages: Sequence[Path] = ()) -> int:
     ):
         if shutil.which(program) is None:
             raise UsageError(f'setup-messages: no {program}, which builds them; {fix}')
-    for folder in packages:
+    for folder in packages or ():
         if not (folder / 'package.xml').is_file():
             raise UsageError(f'setup-messages: {folder}: no package of ROS 2, without package.xml')
-    done = subprocess.run([sys.executable, str(builder), *map(str, packages)], check=False)
+    done = subprocess.run([sys.executable, str(builder), *map(str, packages or ())], check=False)
     return ExitCode.OK if done.returncode == 0 else ExitCode.INFRA
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -12,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from taxinet_ros.analysis.camera.sheets import contact_sheet, scene_picture
+from taxinet_ros.analysis.camera.sheets import DESCRIBED, contact_sheet, scene_picture
+from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
@@ -106,32 +106,14 @@ def _draw_plan(
     axes.set_ylim((-8.5, 8.5) if across == 1 else (-3.0, 6.0))
 
 
-def camera_lines(camera: CameraModel) -> Iterator[tuple[str, str]]:
-    """Names of what a camera is, and their values as text."""
-    yield 'camera', f'{camera.reference}: {camera.title}'
-    x, y, z = camera.offset_m
-    ways = ((x, 'forward', 'back'), (y, 'left', 'right'), (z, 'up', 'down'))
-    words = ', '.join(f'{abs(value):g} m {one if value >= 0 else other}'
-                      for value, one, other in ways)
-    yield 'mount', f'{words} from the centre of gravity'
-    roll, pitch, yaw = map(math.degrees, (camera.roll_rad, camera.pitch_rad, camera.yaw_rad))
-    yield 'attitude', f'roll {roll:g}, pitch {pitch:g} (nose down), yaw {yaw:g} (left) deg'
-    (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
-    yield 'lens', f'focal {fx:.6g}, {fy:.6g} px, centre {cx:.6g}, {cy:.6g} px'
-    yield 'picture', f'{camera.width_px} x {camera.height_px} px, {_angles(camera)}'
-    if camera.distorts:
-        yield 'distortion', 'k1 {:g}, k2 {:g}, p1 {:g}, p2 {:g}, k3 {:g}'.format(*camera.distortion)
-    if camera.aircraft_parts == BY_HAND:
-        yield 'aircraft', "aircraft_parts: by_hand, the Caravan's cowling and nose wheel only"
-    yield 'sensor', f'exposure {camera.exposure_ev:+g} EV, noise {camera.noise_codes:g} codes'
-    if camera.shape != CAMERAS.find(CAMERAS.default).shape:
-        yield 'networks', 'take 360x200: they get the frame averaged to that, out of its aspect'
-
-
-def _angles(camera: CameraModel) -> str:
-    """Field of view along the middle row and the middle column."""
+def camera_text(camera: CameraModel) -> str:
+    """What a camera is: a name and its value a line."""
     u, v = (camera.width_px - 1) / 2, (camera.height_px - 1) / 2
     x, _ = camera.straight_rays(np.array([-0.5, 2 * u + 0.5]), np.array([v, v]))
     _, y = camera.straight_rays(np.array([u, u]), np.array([-0.5, 2 * v + 0.5]))
-    across, down = (math.degrees(math.atan(b) - math.atan(a)) for a, b in (x, y))
-    return f'field of view {across:.1f} x {down:.1f} deg'
+    # The field of view along the middle row and the middle column.
+    angles = tuple(math.degrees(math.atan(b) - math.atan(a)) for a, b in (x, y))
+    return macro_text(
+        DESCRIBED, 'camera', c=camera, deg=math.degrees, angles=angles, by_hand=BY_HAND,
+        usual=CAMERAS.find(CAMERAS.default),
+    )

@@ -9,9 +9,11 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
+from PIL import Image
 
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
@@ -21,6 +23,8 @@ from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import along_words, clock_words
 
 Picture = NDArray[np.uint8]
+DESCRIBED = Path(__file__).with_name('described.j2')
+"""What is said of places, aircraft and cameras."""
 _GAP_PX, _DPI = 6, 72
 """At this resolution sizes of letters are in pixels."""
 _FONT_SHARE = 22
@@ -60,7 +64,7 @@ def contact_sheet(
     for (left, top), caption in zip(chain.from_iterable(corners), captions, strict=True):
         figure.text(left + 2, top - height - 2, caption, fontsize=px, va='top',
                     transform=IdentityTransform())
-    figure.savefig(path, format='png', metadata={'Software': None})
+    _save(figure, path)
 
 
 def grid_sheet(
@@ -78,7 +82,7 @@ def grid_sheet(
     """
     height, width = _largest([image for row in tiles for image in row])
     # A sheet is viewed as a whole, so its headings scale with it, not with its pictures.
-    px = max(width // _FONT_SHARE, 10, len(columns) * width // _HEADING_SHARE)
+    px = max(round(1.4 * max(width // _FONT_SHARE, 10)), len(columns) * width // _HEADING_SHARE)
     longest = max(len(line) for row in rows for line in row.split('\n'))
     figure, corners = _sheet(
         tiles, (height, width), title, px, left_px=round(_LETTER * px * longest) + 3 * _GAP_PX,
@@ -90,7 +94,7 @@ def grid_sheet(
     for row, ((left, top), *_) in zip(rows, corners, strict=True):
         figure.text(left - 2 * _GAP_PX, top - height / 2, row, fontsize=px, ha='right',
                     va='center', multialignment='right', transform=IdentityTransform())
-    figure.savefig(path, format='png', metadata={'Software': None})
+    _save(figure, path)
 
 
 def _largest(images: Sequence[Picture]) -> tuple[int, int]:
@@ -109,8 +113,8 @@ def _sheet(
     size = (
         left_px + _GAP_PX + across * max(map(len, rows)), head_px + _GAP_PX + down * len(rows),
     )
-    # Half a pixel, as a size that is a little too small would lose a whole one.
-    figure = Figure(figsize=[(side + 0.5) / _DPI for side in size], dpi=_DPI)
+    # Half a pixel more, as a size that is a little too small would lose a whole one.
+    figure = Figure(figsize=((size[0] + 0.5) / _DPI, (size[1] + 0.5) / _DPI), dpi=_DPI)
     figure.text(_GAP_PX + 2, size[1] - 2 * _GAP_PX, title, fontsize=px, va='top',
                 transform=IdentityTransform())
     corners: list[list[tuple[int, int]]] = []
@@ -123,6 +127,12 @@ def _sheet(
                 top - (height + image.shape[0]) // 2, origin='upper',
             )
     return figure, corners
+
+
+def _save(figure: Figure, path: Path) -> None:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3]).save(path, format='PNG')
 
 
 HOURS = (6.0, 6.5, 7.0, 9.0, 12.0, 14.0, 15.5, 17.0, 17.5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,7 @@ def _run_text(info: BagInfo, words: str, facts: RunFacts | None) -> str:
             FORK_METADATA, {}).get('fork')
         account = None if words else free_account(info)
         more = {
-            'scene': scene_words(facts.scene), 'figures': list(_figures(facts.figures)),
+            'scene': scene_words(facts.scene),
             'law': law is not None and is_steering_law(law.implementation),
             'fork': fork and _fork_words(fork, facts),
             'free': account and free_run_line(account.figures()),
@@ -95,37 +95,6 @@ def scene_words(scene: Mapping[str, Any]) -> str:
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}{camera}, '
         f'{scene["duration_s"]:g} s{unusual_words(scene)}'
     )
-
-
-_FIGURES = {
-    'max_cross_track_error': ('|CTE| at most', 1.0, 'm'),
-    'settle_time': ('settled after', 1.0, 's'),
-    'estimate_cte_error_mean_abs': ('estimate of CTE off by', 1.0, 'm'),
-    'estimate_he_error_mean_abs': ('of HE by', 180 / math.pi, 'deg on average'),
-    'cte_sigma_max': ('claimed sigma of CTE at most', 1.0, 'm'),
-    'cte_within_1_sigma': ('error within 1 sigma in', 100.0, '%'),
-    'cte_within_2_sigma': ('within 2 in', 100.0, '%'),
-    'he_sigma_max': ('claimed sigma of HE at most', 180 / math.pi, 'deg'),
-    'he_within_1_sigma': ('error within 1 sigma in', 100.0, '%'),
-    'he_within_2_sigma': ('within 2 in', 100.0, '%'),
-}
-"""Words, factor and unit for some fields of a verdict."""
-
-
-def _figures(figures: Mapping[str, float | bool]) -> Iterator[str]:
-    stopped = bool(figures.get('stopped_early'))
-    if figures.get('left_runway'):
-        yield 'left the runway'
-    else:  # where it would have gone is not known
-        yield f'stayed on the runway{" until it was stopped" if stopped else ""}'
-    if stopped:
-        yield 'stopped early'
-    for name, (words, factor, unit) in _FIGURES.items():
-        value = figures.get(name)
-        if value is not None and math.isfinite(value):
-            yield f'{words} {value * factor:.2f} {unit}'
-    if figures.get('unusable_estimates'):
-        yield f'{figures["unusable_estimates"]:.0f} frames without estimate'
 
 
 def info_json(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -269,7 +269,4 @@ def write_values(
         if quantity.truth:
             true = trace[quantity.truth].astype('float64') * quantity.scale
             columns[f'true_{name.removesuffix("_estimate")}{suffix}'] = true
-    with path.open('w', newline='') as stream:
-        writer = csv.writer(stream)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+    pd.DataFrame(columns).to_csv(path, index=False, na_rep='nan')

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from taxinet_ros.cli.options import JsonOption, ProcessesCountOption
 from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode
-
-if TYPE_CHECKING:
-    from taxinet_ros.analysis.network_check import NetworkCheck
 
 _SEVERITY = (ExitCode.VIOLATED, ExitCode.INCOMPLETE, ExitCode.OK)
 
@@ -43,10 +41,18 @@ def check(
     more do, 3 if runs without a verdict leave it open. A smoke test; for a statement about all
     scenes use gate.
     """
-    from taxinet_ros.analysis.network_check import check_networks, fixed_scenes
+    from taxinet_ros.analysis.network_check import (
+        MOST_SHOWN,
+        PROGRAM,
+        SEED,
+        check_networks,
+        fixed_scenes,
+    )
+    from taxinet_ros.analysis.report.text import macro_text
     from taxinet_ros.cli.checked import tell_doubts
     from taxinet_ros.cli.progress import trial_bar
     from taxinet_ros.core.perception.perception import check_perception, network_doubts
+    from taxinet_ros.trials.requirements import DEFAULT_JUDGING
 
     told = line_console(stderr=as_json)
     for network in networks:
@@ -69,37 +75,9 @@ def check(
     codes = [one.code(allow) for one in found]
     for one, code in zip(found, codes, strict=True):
         if not quiet or code is not ExitCode.OK:
-            for line in _lines(one, allow)[:1 if quiet else None]:
-                told.print(line)
+            text = macro_text(
+                Path(__file__).with_suffix('.j2'), 'checked', one=one, allowed=allow,
+                most=MOST_SHOWN, program=PROGRAM, seed=SEED, headline=DEFAULT_JUDGING.headline,
+            )
+            told.print(text.partition('\n')[0] if quiet else text)
     return next(code for code in _SEVERITY if code in codes)
-
-
-def _lines(one: NetworkCheck, allowed: int) -> list[str]:
-    from taxinet_ros.analysis.network_check import MOST_SHOWN, PROGRAM, SEED
-    from taxinet_ros.trials.requirements import DEFAULT_JUDGING
-
-    lines = [
-        f'{one.network}: {one.count(True)} satisfied, {one.count(False)} violated, '
-        f'{one.count(None)} unclear of {len(one.scenes)} scenes of {PROGRAM}, seed {SEED} '
-        f'({DEFAULT_JUDGING.headline}; {allowed} violated allowed)'
-    ]
-    worst = one.worst()
-    for scene, trial in worst[:MOST_SHOWN]:
-        row = scene.row
-        what = f'unclear: {trial.detail}' if trial.robustness is None else (
-            f'rho {trial.robustness.lower:+.2f}' + ', off the runway' * bool(trial.left_runway))
-        lines.append(
-            f'  {row.run_id}: {what} ({row.time_of_day_h:.1f} h, {row.clouds}, rain '
-            f'{row.rain_percent:.0f} %, {row.cross_track_m:+.1f} m, {row.heading_deg:+.0f}°, at '
-            f'{row.distance_m:.0f} m)'
-        )
-    if len(worst) > MOST_SHOWN:
-        lines.append(f'  and {len(worst) - MOST_SHOWN} more')
-    if worst:
-        lines.append(f'next: {one.command} --out bags/check; taxinet why bags/check')
-    else:
-        lines.append(
-            f'next: taxinet falsify s_falsif --perception {one.network}, which searches for '
-            'failures'
-        )
-    return lines

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from taxinet_ros.cli.options import JsonOption
-from taxinet_ros.cli.show import line_console, print_json
+from taxinet_ros.cli.show import line_console, print_json, print_table
 from taxinet_ros.errors import ExitCode, UsageError
-
-if TYPE_CHECKING:
-    from taxinet_ros.analysis.plan import Planned
 
 _PAGE_WIDTH = 100
 
@@ -83,18 +79,13 @@ def plan(
     before, after = plan_lines(planned, rules)
     console = line_console(width=_PAGE_WIDTH)
     console.print(before)
-    console.print(_table(planned), soft_wrap=False)
+    chance = () if planned.powered is None else ('chance',)
+    print_table(
+        console, ('off the runway' if claim.off else 'failures', 'runs', *chance), [
+            (f'{one.failures:,}', f'{one.runs:,}',
+             *(() if one.chance is None else (f'{100 * one.chance:.1f} %',)))
+            for one in planned.plans
+        ], left=0,
+    )
     console.print(after)
     return ExitCode.OK
-
-
-def _table(planned: Planned) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ('off the runway' if planned.claim.off else 'failures', 'runs'):
-        table.add_column(heading, justify='right', no_wrap=True)
-    if planned.powered is not None:
-        table.add_column('chance', justify='right', no_wrap=True)
-    for plan in planned.plans:
-        chance = () if plan.chance is None else (f'{100 * plan.chance:.1f} %',)
-        table.add_row(f'{plan.failures:,}', f'{plan.runs:,}', *chance)
-    return table

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from taxinet_ros.cli.completion import complete_perception, complete_spec, one_of
 from taxinet_ros.cli.options import (
@@ -19,7 +18,7 @@ from taxinet_ros.cli.options import (
     ScenarioOption,
     word_of,
 )
-from taxinet_ros.cli.show import line_console, print_json
+from taxinet_ros.cli.show import line_console, print_json, print_table
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -250,21 +249,16 @@ def _print(found: Score, sentences: tuple[str, ...], out: Path | None) -> None:
     console = line_console(width=130)
     for sentence in sentences:
         console.print(sentence)
-    table = Table(box=None, pad_edge=False)
-    table.add_column('', no_wrap=True)
-    table.add_column('frames', justify='right')
-    for number in range(len(found.networks)):
-        end = f' {number + 1}' if len(found.networks) > 1 else ''
-        table.add_column(f'cross-track{end} [m]', justify='right')
-        table.add_column(f'heading{end} [deg]', justify='right')
-    for one in found.slices:
-        cells = [
-            _mean_words(means[number]) for number in range(len(found.networks))
-            for means in one.errors.values()
-        ]
-        name = one.name if one.kind == 'all' else f'{one.kind} {one.name}'
-        table.add_row(name, str(one.errors['cte'][0].frames), *cells)
-    console.print(table, soft_wrap=False)
+    headings, numbers = ['', 'frames'], range(len(found.networks))
+    for number in numbers:
+        end = f' {number + 1}' if len(numbers) > 1 else ''
+        headings += [f'cross-track{end} [m]', f'heading{end} [deg]']
+    print_table(console, headings, [
+        (one.name if one.kind == 'all' else f'{one.kind} {one.name}',
+         str(one.errors['cte'][0].frames),
+         *(_mean_words(means[number]) for number in numbers for means in one.errors.values()))
+        for one in found.slices
+    ])
     if out is not None:
         console.print(f'page: {out / PAGE_NAME}')
 

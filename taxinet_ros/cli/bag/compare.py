@@ -61,38 +61,17 @@ def print_comparison(
     console: Console, topics: Sequence[TopicComparison], tolerance: float
 ) -> None:
     """Print one line per differing topic, and a summary."""
+    from taxinet_ros.analysis.report.text import macro_text
     from taxinet_ros.bag.check.compare import first_step
     from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 
     differing = [topic for topic in topics if not topic.equal]
-    within = f' within {tolerance:g}' if tolerance else ''
-    messages = sum(max(topic.counts) for topic in topics)
-    if not differing:
-        console.print(f'the same{within}: {messages} messages on {len(topics)} topics')
-        return
-    width = max(len(topic.topic) for topic in differing)
-    for topic in differing:
-        console.print(f'{topic.topic:<{width}}  {_words(topic)}')
-    step = first_step(differing)
-    when = '' if step is None else (
-        f'; first at step {step} ({step * CONTROL_PERIOD_NS / 1e9:.1f} s)'
-    )
-    console.print(
-        f'different{within and f" beyond {tolerance:g}"} on {len(differing)} of {len(topics)} '
-        f'topics{when}',
-    )
-
-
-def _words(topic: TopicComparison) -> str:
-    one, other = topic.counts
-    if not (one and other):
-        return f'{one} | {other} messages'
-    both = min(one, other)
-    counts = f'{one} | {other} messages, ' if one != other else ''
-    if topic.first is None:
-        return f'{counts}the first {both} are the same'
-    greatest = f' by up to {topic.greatest:.3g}' if topic.greatest else ''
-    return f'{counts}{topic.differing} of {both} differ{greatest}, first: {topic.first}'
+    step = first_step(differing) if differing else None
+    console.print(macro_text(
+        Path(__file__).with_suffix('.j2'), 'compared', topics=topics, differing=differing,
+        messages=sum(max(topic.counts) for topic in topics), tolerance=tolerance, step=step,
+        at_s=(step or 0) * CONTROL_PERIOD_NS / 1e9,
+    ))
 
 
 def _topics(names: Collection[str], *bags: Recording) -> list[str]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.cli.show import print_table
 from taxinet_ros.errors import ExitCode, UsageError
 
 _WIDTH = 100
@@ -92,18 +92,6 @@ def print_report(report: Mapping[str, Any]) -> None:
         console.print(f'new/old: ratio of medians, old: {compared["with"]}', soft_wrap=True)
         for fact, (was, now) in compared['differences'].items():
             console.print(f'not the same machine: {fact} was {was}, is {now}', soft_wrap=True)
-
-
-def print_table(
-    console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
-    """Print a table whose first column is aligned left, the others right."""
-    table = Table(box=None, pad_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify='right' if number else 'left', no_wrap=True)
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
 
 
 def _cells(figure: Mapping[str, Any]) -> list[str]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from taxinet_ros.cli.options import (
     JsonOption,
@@ -17,7 +16,7 @@ from taxinet_ros.cli.options import (
     RendererOption,
     refuse_given,
 )
-from taxinet_ros.cli.show import line_console, print_json
+from taxinet_ros.cli.show import line_console, print_json, print_table
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -81,17 +80,14 @@ def evaluate(
 def _print_errors(rows: Sequence[SliceErrors], title: str) -> None:
     console = line_console()
     console.print(title)
-    table = Table(box=None, pad_edge=False)
-    table.add_column('\nimages', no_wrap=True)
-    for heading in ('\nn', 'no\nestimate'):
-        table.add_column(heading, justify='right')
+    headings = ['\nimages', '\nn', 'no\nestimate']
     for name, unit in _QUANTITIES.values():
-        table.add_column(f'{name}\nMAE [{unit}]', justify='right', no_wrap=True)
-        table.add_column('\np99', justify='right')
-    for row in (row for row in rows if row.images):
-        cells = [cell for quantity in _QUANTITIES for cell in _error_cells(row, quantity)]
-        table.add_row(row.name, str(row.images), str(row.without_estimate), *cells)
-    console.print(table, soft_wrap=False)
+        headings += [f'{name}\nMAE [{unit}]', '\np99']
+    print_table(console, headings, [
+        (row.name, str(row.images), str(row.without_estimate),
+         *(cell for quantity in _QUANTITIES for cell in _error_cells(row, quantity)))
+        for row in rows if row.images
+    ])
     console.print('MAE: mean absolute error, with its 95 % confidence interval', style='dim')
     for quantity, turned in rows[0].mirrored.items():
         (name, unit), error = _QUANTITIES[quantity], rows[0].errors[quantity]['mae']

@@ -41,12 +41,10 @@ from taxinet_ros.core.assurance.monitor import (
 )
 from taxinet_ros.core.control_step import rolling_on
 from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.mtl import Spec
 from taxinet_ros.core.mtl.specs import parse_spec
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -194,15 +192,14 @@ def fit_kinematics(deviations: NDArray[np.float64]) -> Kinematics:
     return Kinematics(turn_per_m=turn, cte_spread_m=spreads[0], he_spread_rad=spreads[1])
 
 
-def requirement() -> Spec:
-    """The requirement that says which runs are satisfied."""
-    return parse_spec(REQUIREMENT)
-
-
-def drive_plainly(
+def _drive(
     scene: Scenario, perception: Perception, on_step: Callable[[Step, TaxiCommand], None]
-) -> Judgement:
-    """Run a scene with the shipped law; each step comes with the command before it."""
+) -> bool:
+    """Run a scene with the shipped law; each step comes with the command before it.
+
+    Returns:
+        Whether it is satisfied.
+    """
     before = rolling_on(scene.speed_mps)
 
     def take(step: Step) -> None:
@@ -210,17 +207,22 @@ def drive_plainly(
         on_step(step, before)
         before = step.command
 
-    return run_closed_loop(scene, perception, specs=[requirement()], on_step=take)
+    specs = [parse_spec(REQUIREMENT)]
+    judged = run_closed_loop(scene, perception, specs=specs, on_step=take)
+    return outcome_of(judged) is Outcome.PASS
 
 
-def usual_run(scene: Scenario, perceptions: Sequence[Perception]) -> UsualRun | None:
-    """Make a run and see what is usual in it; None if it is not satisfied.
+_worker: list[list[Perception]] = []
+"""Of a worker process: the perception, as often as for :class:`.Moves` and once more."""
 
-    Args:
-        scene: the scene.
-        perceptions: the perception, as often as for :class:`.Moves` and once more.
-    """
-    perception, *others = perceptions
+
+def _start_worker(word: str) -> None:
+    _worker.append([make_perception(word), *make_perceptions(word)])
+
+
+def _usual_run(scene: Scenario) -> UsualRun | None:
+    """Make a run and see what is usual in it; None if it is not satisfied."""
+    perception, *others = _worker[-1]
     moves, consistency = Moves(scene, others), Consistency()
     pictures, deviations, responses = [], [], []
 
@@ -238,8 +240,7 @@ def usual_run(scene: Scenario, perceptions: Sequence[Perception]) -> UsualRun | 
         if changed is not None:
             deviations.append(changed)
 
-    judged = drive_plainly(scene, perception, take)
-    if outcome_of(judged) is not Outcome.PASS or not deviations or not responses:
+    if not _drive(scene, perception, take) or not deviations or not responses:
         return None
     return UsualRun(
         pictures=np.array(pictures), deviations=np.array(deviations),
@@ -247,17 +248,9 @@ def usual_run(scene: Scenario, perceptions: Sequence[Perception]) -> UsualRun | 
     )
 
 
-def largest_scores(
-    scene: Scenario, perceptions: Sequence[Perception], fitted: Fitted
-) -> NDArray[np.float64] | None:
-    """Largest score of a run, by check; None if it is not satisfied.
-
-    Args:
-        scene: the scene.
-        perceptions: as of :func:`usual_run`.
-        fitted: what is usual.
-    """
-    perception, *others = perceptions
+def _largest(given: tuple[Scenario, Fitted]) -> NDArray[np.float64] | None:
+    """Largest score of a run, by check, given what is usual; None if it is not satisfied."""
+    (scene, fitted), (perception, *others) = given, _worker[-1]
     checks = RawChecks(fitted, scene, others)
     largest = np.zeros(len(CHECKS))
 
@@ -268,25 +261,7 @@ def largest_scores(
         )
         np.maximum(largest, math.inf if scores is None else scores, out=largest)
 
-    judged = drive_plainly(scene, perception, take)
-    return largest if outcome_of(judged) is Outcome.PASS else None
-
-
-_worker: list[list[Perception]] = []
-"""The perceptions of a worker process."""
-
-
-def _start_worker(word: str) -> None:
-    _worker.append([make_perception(word), *make_perceptions(word)])
-
-
-def _usual_run(scene: Scenario) -> UsualRun | None:
-    return usual_run(scene, _worker[-1])
-
-
-def _largest(given: tuple[Scenario, Fitted]) -> NDArray[np.float64] | None:
-    scene, fitted = given
-    return largest_scores(scene, _worker[-1], fitted)
+    return largest if _drive(scene, perception, take) else None
 
 
 def _each(

@@ -7,10 +7,8 @@ beside goes on after its alarm, so the same runs tell what other thresholds woul
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
-import io
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from taxinet_ros.analysis.runs.campaign import ConfidenceInterval
@@ -597,25 +596,13 @@ def _known(value: Any) -> Any:
 
 def trials_csv(trials: Sequence[Trial]) -> str:
     """The runs as a table; an empty field is NaN."""
-    text = io.StringIO()
-    names = [field.name for field in dataclasses.fields(Trial)]
-    writer = csv.DictWriter(text, names, lineterminator='\n')
-    writer.writeheader()
-    for one in trials:
-        values = dataclasses.asdict(one)
-        writer.writerow({
-            name: '' if isinstance(x, float) and math.isnan(x) else x for name, x in values.items()
-        })
-    return text.getvalue()
+    return pd.DataFrame(trials).to_csv(index=False)
 
 
 def alarms_csv(driven: Iterable[Driven]) -> str:
     """Time of the first alarm of each scene without a fallback, by multiple of the thresholds."""
-    lines = [','.join(_ALARM_NAMES)]
-    for trials, alarms_s in driven:
-        times = ('' if math.isnan(time_s) else repr(float(time_s)) for time_s in alarms_s)
-        lines.append(','.join([str(trials[0].scene), *times]))
-    return '\n'.join(lines) + '\n'
+    rows = [(trials[0].scene, *alarms_s) for trials, alarms_s in driven]
+    return pd.DataFrame(rows, columns=_ALARM_NAMES).to_csv(index=False)
 
 
 def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -155,7 +155,7 @@ def collect(
     }
     _refuse_repeated(content)
     content['limits'] = known_limits(content)
-    content['items'] = {item.pop('id'): item for item in _items(content)}
+    content['items'] = known_items(content)
     content['argument'] = parse_argument(
         _rendered('argument.j2', content | {'record': RECORD_NAME}, finalize=_plain)
     )
@@ -309,65 +309,16 @@ def known_limits(content: Mapping[str, Any]) -> list[dict[str, str]]:
     return found
 
 
-def _items(content: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Everything that evidence rests on, each with its hash or why it has none."""
-    requirement, odd = content['requirement'], content['odd']
-    yield _item('requirement', 'requirement', requirement['id'] if requirement else 'unknown',
-                requirement and requirement['sha256'], 'no wording was given')
-    for system in content['systems']:
-        yield from _system_items(system)
-    if odd:
-        yield _item('odd', 'operational design domain', odd['name'], odd['sha256'])
-    for one in content['campaigns']:
-        name = one['id']
-        for key, stack in one['stacks'].items():
-            yield _item(f'{name}/versions/{key}', 'tool versions', words(stack), digest_of(stack))
-        if not one['stacks']:
-            yield _item(f'{name}/versions', 'tool versions', 'unknown')
-        yield _item(f'{name}/bags', 'recordings', f'{len(one["bags"]["each"]):,} bags',
-                    one['bags']['sha256'], 'the runs were made without bags, or these are gone')
-    for one in (*content['campaigns'], *content['localisations'], *content['monitors']):
-        for file, sha256 in one['files'].items():
-            yield _item(f'{one["id"]}/{file}', 'record', f'{one.get("name", one["path"])}/{file}',
-                        sha256)
-    yield _item('limits', 'known limits', f'{len(content["limits"])} known limits',
-                digest_of(content['limits']))
-
-
-def _item(
-    name: str, kind: str, shown_name: str, sha256: str | None = None, why: str = 'not recorded'
-) -> dict[str, Any]:
-    return {
-        'id': name, 'kind': kind, 'name': shown_name, 'sha256': sha256,
-        'why_unknown': '' if sha256 else why,
-    }
-
-
-def _system_items(system: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    name, network, program = system['id'], system['network'], system['program']
-    yield _item(f'{name}/program', 'program', f'{program["name"]} with all it imports',
-                program['sha256'])
-    for formula in system['formulas']:
-        yield _item(f'{name}/formula/{formula["name"]}', 'formula', formula['name'],
-                    formula['sha256'])
-    why = network['why_unknown'] or 'not recorded'
-    yield _item(f'{name}/network', 'network', network['name'], network['sha256'], why)
-    yield _item(f'{name}/card', 'model card', network['name'], network['card_sha256'], why)
-    training = network['training']
-    if training is None:
-        yield _item(f'{name}/data', 'training data', 'unknown', None, why)
-    else:
-        for key in ('data', 'validation'):
-            what = 'training data' if key == 'data' else 'validation data'
-            for number, source in enumerate(training[key], 1):
-                yield _item(f'{name}/{key}-{number}', what, f'{source["kind"]} {source["name"]}',
-                            source['sha256'])
-    shipped = 'part of the package, whose version and commit are recorded'
-    for part in ('controller', 'world'):
-        yield _item(f'{name}/{part}', part, system[part]['name'], system[part]['sha256'], shipped)
-    yield _item(f'{name}/figures', 'figures', f'figures of {name}', digest_of(system['figures']))
-    if system['odd'] is not None:
-        yield _item(f'{name}/odd', 'figures', f'coverage by {name}', digest_of(system['odd']))
+def known_items(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Everything that evidence rests on by id, from ``items.j2``: its hash, or why it has none."""
+    found = {}
+    for line in filter(None, _rendered('items.j2', content, finalize=_plain).splitlines()):
+        name, kind, rest = line.split('|', 2)
+        shown, sha256, why = rest.rsplit('|', 2)
+        found[name] = {
+            'kind': kind, 'name': shown, 'sha256': sha256 or None, 'why_unknown': why,
+        }
+    return found
 
 
 # Folder ------------------------------------------------------------------------------------------
@@ -405,6 +356,7 @@ def _rendered(template: str, content: Mapping[str, Any], **options: Any) -> str:
     environment.globals['interval'] = figures.interval_words
     environment.filters |= {
         'about': _about, 'stem': lambda path: Path(path).stem, 'scenes': scenes_words,
+        'digest': digest_of, 'stack': words,
         'source': lambda one: f'{one["kind"]} {one["name"]}',
         'labels': lambda keys: ', '.join(BY_KEY[key].label for key in keys),
         'sentence': lambda text: f'{str(text).rstrip(".")}.',

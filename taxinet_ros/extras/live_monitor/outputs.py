@@ -8,29 +8,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from taxinet_msgs.msg import Robustness, Verdict
 
 from taxinet_ros.core.mtl import Spec
-from taxinet_ros.core.verdict.run_statistics import SIGMA_FIGURES
 from taxinet_ros.extras.live_monitor.stretch import Level, Standing, standing_level, standing_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.convert import robustness_message
 
-# Only the newest message counts, also for late subscribers.
-_NEWEST = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-_EVERY = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+# Reliable, as is the default. Only the newest message counts, also for late subscribers.
+_NEWEST = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_EVERY = QoSProfile(depth=1000)
 OUTPUTS = {
     'robustness': (Robustness, interface.ROBUSTNESS.name, _EVERY),
     'verdict': (Verdict, interface.VERDICT.name, _NEWEST),
@@ -41,12 +30,9 @@ OUTPUTS = {
 }
 """Type, topic and quality of service of all outputs."""
 
-_FIGURES = (
-    'max_cross_track_error', 'settle_time',
-    'estimate_cte_error_mean', 'estimate_cte_error_mean_abs', 'estimate_cte_error_max_abs',
-    'estimate_he_error_mean', 'estimate_he_error_mean_abs', 'estimate_he_error_max_abs',
-    *(f'{name}_{figure}' for name in ('cte', 'he') for figure in SIGMA_FIGURES),
-)
+_FIGURES = [
+    name for name, kind in Verdict.get_fields_and_field_types().items() if kind == 'double'
+]
 
 
 def robustness_messages(
