@@ -45,7 +45,6 @@ from taxinet_ros.trials.shrink.shrinking import (
     run_command,
     shrink_heading,
 )
-from taxinet_ros.trials.summary import scene_words
 
 
 def shrink(
