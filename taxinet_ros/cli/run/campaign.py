@@ -125,7 +125,7 @@ def make_campaign(
     Raises:
         KeyboardInterrupt: interrupted with runs left.
     """
-    console = Console(highlight=False, stderr=as_json)
+    console = Console(emoji=False, highlight=False, stderr=as_json)
     with _progress(console) as progress:
         bar = progress.add_task('', total=options.runs)
 

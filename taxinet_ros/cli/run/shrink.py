@@ -97,7 +97,7 @@ def _run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
         RecordError: the record cannot be written.
     """
     check_workers(shrinking.campaign.workers)
-    console = Console(highlight=False)
+    console = Console(emoji=False, highlight=False)
     begun = time.monotonic()
     with _shrink_view(console, quiet=quiet) as show:
         engine = Engine(shrinking, PARTICIPANTS, show)

@@ -62,7 +62,7 @@ def run_tune(
         UsageError: bad input.
         InfraError: the initial gains cannot be judged.
     """
-    console = Console(highlight=False, markup=False, stderr=as_json)
+    console = Console(emoji=False, highlight=False, markup=False, stderr=as_json)
     judging = Judging(specs=read_specs(specs)) if specs else DEFAULT_JUDGING
     out = out or DEFAULT_ROOT / f'tune-{Path(program).stem}'
     varied, start = varied_gains(vary), _start(settings)
