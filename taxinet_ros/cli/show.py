@@ -26,7 +26,8 @@ def line_console(
         quiet: print nothing.
         width: of tables where it is no terminal.
     """
-    console = Console(highlight=False, markup=False, soft_wrap=True, stderr=stderr, quiet=quiet)
+    console = Console(emoji=False, highlight=False, markup=False, soft_wrap=True, stderr=stderr,
+                      quiet=quiet)
     if width is not None and not console.is_terminal:
         console.width = width
     return console

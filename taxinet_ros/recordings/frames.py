@@ -386,8 +386,8 @@ def place_notes(table: pd.DataFrame, setup: Setup) -> list[str]:
         far = math.hypot(beyond, cte)
         notes.append(
             f'{len(off)} of {len(known)} frames are off {setup.track.name} of {setup.place.name}, '
-            f'by {far:,.0f} m: another place, another runway (--track), or latitude and longitude '
-            'swapped')
+            f'by {far:,.0f} m: another place, another runway (--track), or '
+            + ('another --frame' if setup.source.frame else 'latitude and longitude swapped'))
     turned = known['heading_error_deg'].abs()
     if len(known) and float(turned.median()) > 150:
         notes.append(

@@ -42,6 +42,7 @@ _DAMAGE = (ReaderError, OSError, sqlite3.Error, ValueError, LookupError, zlib.er
 _CHANNELS = {
     'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3,
     'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1,
+    'yuv422': 2, 'uyvy': 2, 'yuv422_yuy2': 2, 'yuyv': 2,
 }
 _TO_RGB = {
     'bgr8': cv2.COLOR_BGR2RGB, '8UC3': cv2.COLOR_BGR2RGB, 'rgba8': cv2.COLOR_RGBA2RGB,
@@ -49,6 +50,8 @@ _TO_RGB = {
     # OpenCV names a pattern by the second and third pixel of its second row.
     'bayer_rggb8': cv2.COLOR_BayerBG2RGB, 'bayer_bggr8': cv2.COLOR_BayerRG2RGB,
     'bayer_gbrg8': cv2.COLOR_BayerGR2RGB, 'bayer_grbg8': cv2.COLOR_BayerGB2RGB,
+    'yuv422': cv2.COLOR_YUV2RGB_UYVY, 'uyvy': cv2.COLOR_YUV2RGB_UYVY,
+    'yuv422_yuy2': cv2.COLOR_YUV2RGB_YUY2, 'yuyv': cv2.COLOR_YUV2RGB_YUY2,
 }
 
 
@@ -138,7 +141,8 @@ class Recording:
         if name in self.types:
             why = f'{name} is a {self.types[name]}, expected one of {", ".join(types)}'
         fits = f'what fits: {listed}' if found else f'it has none of {", ".join(types)}'
-        raise UsageError(f'{self.path}: {option} {given}: {why}; {fits}')
+        asked = f'{option} {given}'.rstrip()
+        raise UsageError(f'{self.path}: {asked}: {why}; {fits}')
 
     def _note(self, name: str, kind: str, count: int) -> None:
         self.counts[name] += count
@@ -224,6 +228,6 @@ def picture(message: Any) -> NDArray[np.uint8]:
     pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
     if message.encoding == 'rgb8':
         return pixels
-    if min(height, width) < 2:
+    if min(height, width) < 2 or (channels == 2 and width % 2):
         raise ValueError(f'image is {width} x {height}')
     return np.asarray(cv2.cvtColor(pixels, _TO_RGB[message.encoding]), np.uint8)

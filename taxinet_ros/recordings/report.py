@@ -25,6 +25,7 @@ from taxinet_ros.analysis.report.parts import (
 )
 from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
 from taxinet_ros.recordings.frames import ENDS
@@ -65,6 +66,10 @@ def score_report(found: Score) -> Report:
     return fill_report(TEXT, {
         's': found, 'e': found.slices[0].errors, 'networks': networks,
         'comparison': found.slices[0].better, 'notable': NOTABLE_LATENCY_S,
+        'means': {word: [
+            float(found.table.loc[found.scored, f'{column}{end}'].mean())
+            for _, _, column in QUANTITIES.values()
+        ] for word, end in zip(networks, ENDS, strict=False)},
         'names': {name: words for name, (words, _, _) in QUANTITIES.items()},
         'judged': judged_words(found), 'worst': bool(worst),
     }, figures)
@@ -79,7 +84,8 @@ def judged_words(found: Score) -> dict[str, str]:
         text = ', '.join(f'{count} {verdict}' for verdict, count in counts.items())
         decided = [one.lower for one in own if one.verdict != 'UNCLEAR']
         least = f', least rho {min(decided):+.2f}' if decided else ''
-        words[spec] = f'{text} of {len(own)} stretch{"es" if len(own) > 1 else ""}{least}'
+        words[spec] = (f'{text} of {len(own)} stretch{"es" if len(own) > 1 else ""}{least}: '
+                       f'{own[0].words}')
     return words
 
 
@@ -95,7 +101,11 @@ def score_json(found: Score, report: Report) -> dict[str, Any]:
         'truth': found.setup.source.topic, 'heading': found.setup.source.heading,
         'bags': [str(one.recording.path) for one in found.bags],
         'latency': found.latency, 'latency_applied_s': found.applied_s, 'slices': found.slices,
-        'start': None if found.start is None else found.start.to_human(),
+        'start': None if found.start is None else {
+            **found.start.to_human(),
+            # Whole documents, as no record beside it resolves references.
+            **{key: getattr(found.start, key) for key in CATALOGUES},
+        },
         'verdicts': found.verdicts, 'alarms': found.alarms, 'mirrored': dict(found.mirrored),
         'notes': found.notes, 'made_on': dict(provenance()), 'sentences': list(report.summary),
     })

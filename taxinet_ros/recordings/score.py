@@ -18,7 +18,8 @@ from taxinet_ros.core.assurance.checks import Kinematics
 from taxinet_ros.core.assurance.monitor import CalibratedMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import alarm_of
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
-from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, signal_names
+from taxinet_ros.core.mtl import SIGNALS, Monitor, Spec, parse_spec, signal_names
+from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.place.catalogue import typed_place
 from taxinet_ros.core.place.track import RUNWAY_TRACK
@@ -141,6 +142,7 @@ class PathVerdict:
         spec: name of the formula.
         verdict: SATISFIED, VIOLATED, or UNCLEAR if the stretch does not decide it.
         lower, upper: robustness.
+        words: what the formula asks.
     """
 
     bag: str
@@ -150,6 +152,7 @@ class PathVerdict:
     verdict: str
     lower: float
     upper: float
+    words: str
 
 
 @dataclass(kw_only=True, eq=False)
@@ -263,7 +266,9 @@ def score(
         notes=notes + _scale_notes(estimates, truth, setup.networks[0]),
     )
     if mirrored:
-        found.notes.append(_sign_note(found, perceptions[:1]))
+        # On a path that weaves evenly, clocks half a period apart look alike.
+        apart = '; or the clocks differ by seconds' if math.isnan(latency.value_s) else ''
+        found.notes.append(_sign_note(found, perceptions[:1]) + apart)
     if options.monitor:
         found.alarms = _watch(found, options.monitor)
     return found
@@ -452,7 +457,7 @@ def path_verdicts(table: pd.DataFrame, spec: Spec) -> Iterator[PathVerdict]:
         yield PathVerdict(
             bag=str(part['bag'].iloc[0]), start_s=float(part['t_s'].iloc[0]), spec=spec.name,
             duration_s=float(times[-1]) / NS_PER_S, verdict=word, lower=last.lower,
-            upper=last.upper,
+            upper=last.upper, words=formula_words(spec.formula, SIGNALS),
         )
 
 

@@ -29,11 +29,16 @@ _BLOCKS_PER_TIME = 5
 _MOST_LAG = 200
 _MOST_BLOCKS = 400
 _LATEST_S, _STEP_S = 1.0, 0.02
+BEYOND = f'it seems to be more than the {_LATEST_S:g} s that is tried, as of clocks that differ'
 _WIDEST_S = 0.3
 _LATENCY_BLOCKS, _LATENCY_RESAMPLES = 10, 400
 _SMOOTH_S = 0.5
 _LEAST_GAIN = 10.0
 """Least difference of twice the log-likelihood between the best latency and the worst one."""
+_TURNING = 0.2, math.radians(1.0)
+"""Standard deviations of cross-track [m] and heading error [rad] of a path that turns or drifts."""
+_UNSEEN_SHARE = 0.9
+"""Estimates of which the truth leaves so much of the standard deviation do not follow it."""
 
 
 class Mean(NamedTuple):
@@ -206,7 +211,11 @@ def _best_shift(
     number = int(blocks.max()) + 1
     # Correlated frames count as fewer.
     if (whole.max() - whole.min()) / alike < _LEAST_GAIN:
-        return unknown._replace(why='the aircraft hardly turns or drifts')
+        moves = bool((here.std(axis=0) > _TURNING).any())
+        unseen = bool((left.std(axis=0) > _UNSEEN_SHARE * estimates.std(axis=0)).all())
+        return unknown._replace(why='the aircraft hardly turns or drifts' if not moves else (
+            'the estimates hardly follow the path' if unseen else
+            'the path is so even that any fits'))
     terms = _moments(shifted, estimates, blocks)
     drawn = np.random.default_rng(0).multinomial(
         number, np.full(number, 1 / number), _LATENCY_RESAMPLES).astype(np.float64)
@@ -214,8 +223,10 @@ def _best_shift(
         _peak(shifts, _likelihood(np.tensordot(terms, weights, (1, 0)))) for weights in drawn
     ]
     low, high = np.percentile(found, [2.5, 97.5])
-    if high - low > _WIDEST_S or abs(best) >= _LATEST_S - _STEP_S:
+    if high - low > _WIDEST_S:
         return unknown._replace(why=f'anything from {low:+.2f} to {high:+.2f} s fits')
+    if abs(best) >= _LATEST_S - _STEP_S:
+        return unknown._replace(why=BEYOND)
     return Latency(best, float(low), float(high))
 
 

@@ -263,6 +263,11 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     named_places(options.places)
     start = None if options.start is None else load_model(weights_path(options.start))
     if start is not None:
+        if start.card.view and options.view is None and (options.data or options.add_data):
+            raise UsageError(
+                f'train: --start {options.start}: sees through the virtual camera '
+                f'{start.card.view}, and of folders the camera is unknown; start from another '
+                'network, or render scenes')
         options = replace(
             options, view=options.view or start.card.view,
             architecture=options.architecture or start.card.architecture)

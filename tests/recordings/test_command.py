@@ -42,6 +42,29 @@ def test_given_a_recording_when_scored_then_json_page_and_table_are_written(taxi
     assert (code, 'already exists' in err) == (2, True)
 
 
+def test_given_a_latency_then_what_is_said_to_be_taken_off_is_what_was(taxinet, tmp_path, see):
+    bag = record(tmp_path / 'late', Drive(seconds=60, late_s=0.25))
+    words = 'score', bag, *KNOWN, '--perception', f'{see}:biased', '--latency'
+    own = taxinet(*words, 'estimated')[1]
+    assert 's (0.' in own
+    assert '), taken off.' in own
+    assert '(on average +0.50 m and +1.00 deg, left positive)' in ' '.join(own.split())
+    assert 'within 1.5 m of the centreline all the time.' in own
+    for given, said in (('0.25', 'Taken off, as given: 0.250 s.\n'), (
+            '-0.25', 'Taken off, as given: −0.250 s, which does not fit: positive is late.\n')):
+        out = taxinet(*words, given)[1]
+        assert said in out
+        assert '), taken off.' not in out
+
+
+def test_given_functions_when_scored_then_lines_have_their_names(taxinet, drive, see):
+    # To a terminal ``:feet:`` is a pictogram.
+    _, out, _ = taxinet('score', drive, *KNOWN, '--perception', f'{see}:biased', '--against',
+                        f'{see}:feet')
+    assert '\nsee.py:feet: mean absolute error' in out
+    assert '\nsee.py:feet is better in heading' in out
+
+
 def test_given_a_requirement_that_is_asked_for_then_its_violation_is_the_exit_code(
     taxinet, drive, see
 ):

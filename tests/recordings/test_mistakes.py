@@ -14,6 +14,11 @@ def quarter(heading):
     return -heading
 
 
+def weave(t):
+    y, slope = 2 * math.sin(t / 3), 2 / 3 * math.cos(t / 3)
+    return 500 + 5 * t, y, math.atan2(slope, 5)
+
+
 MISTAKES = {
     'another place by a kilometre': (Drive(shift_deg=0.01), {}, r'off runway of kmwh_04, by 9\d\d'),
     'a time zone': (
@@ -50,8 +55,14 @@ MISTAKES = {
         'pictures of two cameras on one topic: camera .601., right .1.'),
     'an encoding': (
         Drive(more=[('/cam', 'sensor_msgs/msg/Image', image(
-            pixels_of(0, 0, (8, 12)), BEGUN_NS, 'yuv422'), BEGUN_NS)]), {},
-        "1 pictures: image encoding is 'yuv422'"),
+            pixels_of(0, 0, (8, 12)), BEGUN_NS, 'mono16'), BEGUN_NS)]), {},
+        "1 pictures: image encoding is 'mono16'"),
+    'another frame of poses': (
+        Drive(truth='odometry'), {'topic': '/odom', 'frame': '47.3,-119.4'},
+        r'another runway \(--track\), or another --frame'),
+    'clocks that differ by half a period': (
+        Drive(along=weave, stamp=lambda kind, ns: ns + 8 * 10**9 * (kind == 'image')), {},
+        'fall where the truth rises.*; or the clocks differ by seconds'),
 }
 
 

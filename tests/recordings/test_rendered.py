@@ -4,7 +4,10 @@ import json
 
 import pandas as pd
 import pytest
+import yaml
+from synthetic import Drive, record
 
+from taxinet_ros.core.place.catalogue import PLACES, find_place
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.rendered import metar_weather
 
@@ -56,6 +59,21 @@ def test_given_a_run_of_ours_then_rendered_frames_are_like_the_recorded_and_a_ru
     assert code == 0
     assert '  1000 m' in out
     assert '16:00 cirrus' in out
+
+
+def test_given_a_place_of_ones_own_then_a_run_starts_there_in_another_process(taxinet, tmp_path):
+    place = {**yaml.safe_load(find_place('kmwh_04').document), 'name': 'mine'}
+    (tmp_path / 'mine.yaml').write_text(yaml.safe_dump(place))
+    bag = record(tmp_path / 'drive', Drive(seconds=3, size=(200, 360)))
+    code, *_ = taxinet('score', bag, '--place', 'mine.yaml', '--heading', '/imu', '--camera',
+                       'wing', '--simulate', '--out', 'scored')
+    assert code == 0
+    PLACES._known.clear()
+    PLACES.find.cache_clear()
+    code, out, err = taxinet('run', '--from', 'scored', '--engine', 'loop', '--set', 'duration=1',
+                             '--out', 'again', '--exit-zero')
+    assert (code, err) == (0, '')
+    assert 'place mine' in out
 
 
 @pytest.mark.parametrize(('words', 'line'), [

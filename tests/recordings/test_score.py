@@ -13,6 +13,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import NO_TRUTH, OFF_PLACE, OUT_OF_ORDER, STANDING
 from taxinet_ros.recordings.reader import Recording, picture
 from taxinet_ros.recordings.score import ScoreOptions, score, worst_rows
+from taxinet_ros.recordings.statistics import BEYOND
 from taxinet_ros.recordings.truth import TruthSource
 
 
@@ -60,9 +61,19 @@ def test_given_a_straight_drive_then_latency_is_unknown_and_cannot_be_taken_off(
     drive = Drive(seconds=30, late_s=0.25, noise_m=0.1, along=lambda t: (500 + 5 * t, 0.0, 0.0))
     found = scored(drive)
     assert math.isnan(found.latency.value_s)
-    assert found.latency.why != ''
+    assert found.latency.why == 'the aircraft hardly turns or drifts'
     with pytest.raises(UsageError, match='cannot be estimated here'):
         scored(drive, latency='estimated')
+
+
+def test_given_estimates_that_do_not_follow_the_path_then_the_path_is_not_blamed(scored):
+    found = scored(Drive(seconds=30), perception='elsewhere')
+    assert found.latency.why == 'the estimates hardly follow the path'
+
+
+def test_given_clocks_that_differ_by_seconds_then_no_range_of_latencies_is_named(scored):
+    found = scored(Drive(seconds=60, stamp=lambda kind, ns: ns + 1_300_000_000 * (kind == 'image')))
+    assert found.latency.why == BEYOND
 
 
 def test_given_an_antenna_beside_then_its_offset_turns_heading_into_cross_track(scored):
@@ -166,6 +177,13 @@ def test_given_patterns_of_a_bayer_sensor_then_colours_come_out(tmp_path):
     grey = SimpleNamespace(encoding='mono8', height=2, width=3, step=5,
                            data=np.arange(10, dtype=np.uint8))
     assert picture(grey)[1].tolist() == [[5] * 3, [6] * 3, [7] * 3]
+    for encoding, bytes_of_red in (('yuv422', (90, 82, 240, 82)), ('uyvy', (90, 82, 240, 82)),
+                                   ('yuv422_yuy2', (82, 90, 82, 240)), ('yuyv', (82, 90, 82, 240))):
+        red = SimpleNamespace(encoding=encoding, height=2, width=2, step=4,
+                              data=np.array(bytes_of_red * 2, np.uint8))
+        assert np.abs(picture(red) - np.array([255.0, 0, 0])).max() <= 1, encoding
+        with pytest.raises(ValueError, match='image is 1 x 2'):
+            picture(SimpleNamespace(**{**red.__dict__, 'width': 1, 'step': 2}))
     for wrong in ({'encoding': '32FC1'}, {'step': 2}, {'height': 3}):
         with pytest.raises(ValueError, match='image'):
             picture(SimpleNamespace(**{**grey.__dict__, **wrong}))

@@ -153,6 +153,8 @@ def test_given_a_view_when_pictures_are_made_then_they_are_those_of_the_eye(
     ({'sampler': 'halton'}, '--sampler goes with a program'),
     ({'validation_program': 'nominal'}, '--validation-program goes with a program'),
     ({'places': (), 'data': (Path('d'),)}, '--view is for rendered scenes'),
+    ({'view': None, 'start': 'anywhere', 'places': (), 'data': (Path('d'),)},
+     '--start anywhere: sees through the virtual camera ahead, and of folders'),
     ({'view': 'behind'}, "view 'behind' is unknown; known: ahead"),
 ])
 def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so(

@@ -41,8 +41,8 @@ def info_text(recording: Recording, runs: Mapping[str, RunFacts | None]) -> str:
     texts = [_run_text(info, words, facts) for words, facts in runs.items()]
     return '\n'.join([*texts, macro_text(
         _TEXT, 'bag', info=info, files=storage_files(info.path),
-        foreign=bool(recording.runs) and not recording.plain, back_s=info.back_ns / NS_PER_S,
-        longest_s=_LONGEST_S,
+        foreign=bool(recording.runs) and not recording.plain, ours=any(runs.values()),
+        back_s=info.back_ns / NS_PER_S, longest_s=_LONGEST_S,
     )])
 
 

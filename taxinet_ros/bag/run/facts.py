@@ -72,7 +72,9 @@ def recorded_run(recording: Recording) -> RecordedRun:
     scenario, reports = _head(recording)
     if scenario is None:
         recording.check_damage()
-        raise BagEmpty(f'{path}: no message on /scenario, so its run is unknown', path=path)
+        raise BagEmpty(
+            f'{path}: no message on /scenario, so its run is unknown; recordings of others: '
+            'docs/recordings.md', path=path)
     try:
         eyes, law = reports.get('perception'), reports.get('steering_controller')
         world = reports.get(SIMULATOR)

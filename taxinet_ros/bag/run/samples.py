@@ -148,7 +148,8 @@ def run_samples(
     path, damage = recording.path, recording.damage
     if all(run.scenario is None for run in recording.runs):
         kind = BagEmpty if damage else BagForeign
-        raise kind(f'{path}: no message on {SCENARIO}, so its run is unknown', path=path)
+        other = '' if damage else '; recordings of others: docs/recordings.md'
+        raise kind(f'{path}: no message on {SCENARIO}, so its run is unknown{other}', path=path)
     runs = list(zip(recording.runs, recording, strict=True))
     present = [(run, one) for run, one in runs if not run.absent] or runs
     try:

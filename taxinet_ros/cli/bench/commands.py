@@ -63,7 +63,7 @@ def bench(
 
 def print_report(report: Mapping[str, Any]) -> None:
     """Print the figures of a report, its ratios, and what it was compared with."""
-    console = Console(highlight=False)
+    console = Console(emoji=False, highlight=False)
     if not console.is_terminal:
         console.width = _WIDTH
     facts = (f'{name.replace("_", " ")} {value}' for name, value in report['machine'].items())

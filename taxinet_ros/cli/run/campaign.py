@@ -123,7 +123,7 @@ def make_campaign(
     Raises:
         KeyboardInterrupt: interrupted with runs left.
     """
-    console = Console(highlight=False, stderr=as_json)
+    console = Console(emoji=False, highlight=False, stderr=as_json)
 
     def show(row: RunRow) -> None:
         if not quiet:

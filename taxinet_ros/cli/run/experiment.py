@@ -98,7 +98,7 @@ def run_experiment(
     Raises:
         UsageError: bad input, or arms whose scenes are not the same.
     """
-    console = Console(highlight=False, stderr=as_json)
+    console = Console(emoji=False, highlight=False, stderr=as_json)
     check_workers(workers)
     searches = arm_searches(
         experiment, out, workers=workers, resume=resume, engine=engine, audit=audit,

@@ -68,7 +68,7 @@ def _trouble(one: Extension) -> str:
 
 
 def _print(listed: Sequence[tuple[Extension, str]]) -> None:
-    console = Console(highlight=False)
+    console = Console(emoji=False, highlight=False)
     width = max(len(one.name) for one, _ in listed)
     whose = max(len(_whose(one)) for one, _ in listed)
     kind = ''

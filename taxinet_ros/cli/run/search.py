@@ -46,7 +46,7 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
         UsageError: bad input, or every scene was rejected.
     """
     check_workers(asked.campaign.workers)
-    console = Console(highlight=False, stderr=as_json)
+    console = Console(emoji=False, highlight=False, stderr=as_json)
     with (
         open_cluster(asked.campaign, console) as cluster,
         open_search(asked, console, quiet=quiet) as search,

@@ -92,7 +92,7 @@ def _run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
         RecordError: the record cannot be written.
     """
     check_workers(shrinking.campaign.workers)
-    console = Console(highlight=False)
+    console = Console(emoji=False, highlight=False)
     begun = time.monotonic()
     engine = Engine(
         shrinking, PARTICIPANTS, lambda row: print_row(row, console, quiet=quiet))

@@ -134,7 +134,7 @@ def up(
         controller=steers, timing=timing, world=chosen.name,
     )
     name = absolute_namespace(namespace, '--namespace ')
-    view = UpView(Console(highlight=False), graph, record=record, namespace=name)
+    view = UpView(Console(emoji=False, highlight=False), graph, record=record, namespace=name)
     with interrupts(view.stop):
         try:
             run_standing_graph(

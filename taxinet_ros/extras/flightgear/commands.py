@@ -41,7 +41,7 @@ def flightgear_start(
     from taxinet_ros.processes.interrupts import ToldInterrupt
 
     (host, port), size_px = flightgear_address(), parse_size(size)
-    console = Console(highlight=False)
+    console = Console(emoji=False, highlight=False)
     begun_s = time.monotonic()
     console.print(f'starting FlightGear at {at.upper()}; this takes a minute or two')
     try:
@@ -66,7 +66,7 @@ def flightgear_doctor() -> None:
     """
     from rich.console import Console
 
-    console, broken = Console(highlight=False), False
+    console, broken = Console(emoji=False, highlight=False), False
     for name, check in _CHECKS.items():
         try:
             console.print(f'{name}: {check()}', soft_wrap=True, markup=False)
