@@ -346,7 +346,10 @@ class Scenario:
             if limits is None or usual:
                 raise
             where = '' if self.line.is_runway else f'track {self.track} of '
-            raise UsageError(f'{error}, at {where}{find_place(self.place).reference}') from None
+            short = field is DISTANCE and not where
+            hint = '; the program anywhere has starts for any runway' if short else ''
+            raise UsageError(
+                f'{error}, at {where}{find_place(self.place).reference}{hint}') from None
 
     @property
     def runway(self) -> Runway:

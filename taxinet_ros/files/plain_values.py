@@ -46,6 +46,8 @@ YAML_TROUBLES = (
     RecursionError,
 )
 """Exceptions of PyYAML: its own, and those of its constructors."""
+_WITH_UNIT = re.compile(r'[-+]?[0-9]+(\.[0-9]+)?\s*[a-zA-Zµ°%/²]*[a-df-zA-DF-Zµ°%]')
+"""A number with a unit: ``75 ft``, ``10m/s``."""
 
 
 @overload
@@ -399,6 +401,8 @@ class Section:
         value = self.take(key, kind)
         if not is_number(value, low, high):
             fix = '; write it as 0.5 or 1.0e-3' if isinstance(value, str) else ''
+            if fix and _WITH_UNIT.fullmatch(str(value)):
+                fix = '; without a unit: it is that of the key'
             raise self.wrong(expected(kind, value) + fix, key)
         return float(value)
 

@@ -47,6 +47,9 @@ def test_given_a_file_when_asked_then_it_hands_out_what_is_there_and_else_the_de
      'it: a.yaml: s.n: expected a whole number, 1 or more, got 1.0'),
     ('x: 1e2', lambda top: top.number('x', 0),
      "it: a.yaml: x: expected a number, 0 or more, got '1e2'; write it as 0.5 or 1.0e-3"),
+    ('x: 75 ft', lambda top: top.number('x', 0),
+     "it: a.yaml: x: expected a number, 0 or more, got '75 ft'; without a unit: it is that of the "
+     'key'),
     ('x: .inf', lambda top: top.number('x', 0),
      'it: a.yaml: x: expected a number, 0 or more, got inf'),
     ('l: [{a: 1}, {b: 1}]', lambda top: top.sections('l', ('a',)),

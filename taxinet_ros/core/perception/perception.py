@@ -8,7 +8,7 @@ name is an error, with no fallback to the truth.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -322,12 +322,20 @@ def network_doubts(word_or_file: str, scenes: Iterable[Scenario]) -> list[str]:
     domain = find_domain(word_or_file)
     told = [] if domain is None else [scene.to_human() for scene in dict.fromkeys(scenes)]
     doubts = domain_doubts(word_or_file, domain, told)
-    if doubts and all(
-        bool(domain_doubts(name, find_domain(name), told)) is elsewhere
-        for name, elsewhere in ((_AT_KMWH, True), (_ANYWHERE, False))
-    ):
-        doubts[0] += f'; {_ANYWHERE} was trained for such'
+    if doubts and (better := network_elsewhere(told)):
+        doubts[0] += f'; {better} was trained for such'
     return doubts
+
+
+def network_elsewhere(scenes: Sequence[Mapping[str, Any]]) -> str:
+    """The shipped network for runways never seen, if scenes are for it and not for the default; ''.
+
+    Args:
+        scenes: in human units, by key.
+    """
+    asked = ((_AT_KMWH, True), (_ANYWHERE, False))
+    fits = all(bool(domain_doubts(name, find_domain(name), scenes)) is out for name, out in asked)
+    return _ANYWHERE if fits else ''
 
 
 def _loaded(extension: Extension) -> Path | PluginCode | Perception:

@@ -112,7 +112,8 @@ def read_airport_place(path: Path, icao: str, runway: str, time_zone: str = '') 
     ]
     if not found:
         known = ', '.join(end.number for one in airport.runways for end in one.ends)
-        raise UsageError(f'{path}: {airport.icao} has no runway {runway!r}; it has {known}')
+        what = f'has no runway {runway!r}' if runway else 'needs a runway, as in KSEA/16L'
+        raise UsageError(f'{path}: {airport.icao} {what}; it has {known}')
     row, end = found[0]
     where = f'{path}: row {row.row.number}'
     if row.ends[0].position_deg == row.ends[1].position_deg:

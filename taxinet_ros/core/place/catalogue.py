@@ -20,6 +20,7 @@ SHIPPED_TRACKS = ('runway', 'exit_left', 'rapid_exit')
 
 _OF_AIRPORT = re.compile(
     r'(?:(.+\.dat(?:\.gz)?):)?([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
+_NO_RUNWAY = re.compile(r'(.+\.dat(?:\.gz)?)(?::([A-Za-z0-9]*)/?)?')
 """``FILE:ICAO/RUNWAY`` or ``ICAO/RUNWAY``, optionally with ``@ZONE``."""
 _RANDOM = re.compile(f'{PREFIX}([0-9]{{1,10}})')
 _APT_DAT = (
@@ -48,6 +49,11 @@ class Places(Catalogue[Place]):
             path, icao, runway, zone = airport.groups(default='')
             path = path or _installed_apt_dat(text)
             return _place_of_airport(path, icao, runway, zone, _version(path))
+        if without := _NO_RUNWAY.fullmatch(text):
+            path, icao = without.groups(default='')
+            if not icao:
+                raise UsageError(f'place {text}: name an airport and a runway, as {path}:KSEA/16L')
+            return _place_of_airport(path, icao, '', '', _version(path))  # raises: names them
         if number := _RANDOM.fullmatch(text):
             return self.find(random_place(int(number[1])).text)
         return super().typed(text)

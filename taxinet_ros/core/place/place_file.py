@@ -53,6 +53,8 @@ LEAST_TRACK_M = 7.5
 """Least width of a taxiway (ICAO Annex 14, 3.9.5, code A)."""
 _LENGTH_SHARE, _BEARING_DEG = 0.005, 0.3
 """Tolerances of published length (relative) and bearing against those computed from the ends."""
+_POLAR_DEG, _VARIATION_DEG = 65.0, 45.0
+"""Most difference of a runway's number from its true bearing, and up to which latitude."""
 _RADIUS_M, _FLATTENING = 6378137.0, 1 / 298.257223563
 _CLEAR_M, _FILLET_M = 37.5, 85.0
 """Defaults: shoulder of a crossing runway, and length of the fillets beyond it."""
@@ -122,6 +124,14 @@ def _runway(section: Section, zone: str) -> Runway:
     )
     if abs(int(designations[0][:2]) - int(designations[1][:2])) != 18:
         raise section.wrong(f'{designations[0]} and {designations[1]} are no opposite ends', 'ends')
+    # Nearer to the poles, numbers follow no magnetic north.
+    turn_deg = (bearing_deg - 10 * int(designations[0][:2]) + 180) % 360 - 180
+    if abs(near[0]) <= _POLAR_DEG and abs(turn_deg) > _VARIATION_DEG:
+        raise section.wrong(
+            f'from {designations[0]} to {designations[1]} it is {bearing_deg:.0f} deg true, which '
+            f'no runway {designations[0]} is; is an end, its latitude and longitude, or a sign '
+            'swapped?', 'ends',
+        )
     category = section.word('category', CATEGORIES)
     displaced = [one.number('displaced_m', 0, length_m / 3, default=0.0) for one in ends]
     return Runway(

@@ -132,7 +132,8 @@ def run_judge(options: JudgeOptions, *, as_json: bool) -> int:
         UsageError: bad input.
     """
     for warning in monitor_doubts(options.monitor, options.perception):
-        Console(stderr=True, emoji=False).print(warning, soft_wrap=True, markup=False, highlight=False)
+        Console(stderr=True, emoji=False, highlight=False).print(
+            warning, soft_wrap=True, markup=False)
     with stage_bars(Console(stderr=True)) as show:
         judged = judge(options, show)
     code = ExitCode.INCOMPLETE if judged.unjudged else ExitCode.OK

@@ -37,6 +37,7 @@ from taxinet_ros.core.perception.perception import (
     GroundTruth,
     check_perception,
     find_domain,
+    network_elsewhere,
 )
 from taxinet_ros.core.perception.substituted import AS_RECORDED
 from taxinet_ros.core.perception.substituted import TRUTH as WITH_TRUTH
@@ -530,7 +531,9 @@ def _with_domain(found: Evidence, scenes: Sequence[Mapping[str, Any]]) -> Eviden
     """The evidence, with how the scenes are outside what the network was trained in."""
     with contextlib.suppress(UsageError):  # its file is gone
         domain = find_domain(found.network)
-        return replace(found, outside=''.join(domain_doubts(found.network, domain, scenes)))
+        outside = ''.join(domain_doubts(found.network, domain, scenes))
+        elsewhere = network_elsewhere(scenes) if outside else ''
+        return replace(found, outside=outside, elsewhere=elsewhere)
     return found
 
 

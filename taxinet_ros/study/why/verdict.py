@@ -205,6 +205,7 @@ class Evidence:
         seed: one that gives scenes which the runs did not have.
         single: whether the subject is one run.
         outside: how its scenes are outside what the network was trained in; ''.
+        elsewhere: the shipped network that was trained for such scenes, then; ''.
     """
 
     subject: str
@@ -228,6 +229,7 @@ class Evidence:
     seed: int = 0
     single: bool = False
     outside: str = ''
+    elsewhere: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -163,12 +163,10 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     """
     chosen = _chosen(settings)
     drawn = original.to_human()
-    crossings = original.runway.crossings if original.line.is_runway else ()
-    beyond = bool(crossings) and original.distance_m > crossings[0].x_m
     usual = {
         'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'clear', 'rain_percent': 0.0,
         'time_of_day_h': NOMINAL_HOUR,
-        'distance_m': DISTANCES_M[beyond] if original.line.is_runway else drawn['distance_m'],
+        'distance_m': _usual_distance_m(original),
     }
     moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS, *_GNSS)
     pushed = {field.key: field.to_human(field.absent) for field in moved}
@@ -193,6 +191,18 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     if not space.moving:
         raise UsageError('the run is nominal already: there is nothing to shrink; see --nominal')
     return space
+
+
+def _usual_distance_m(original: Scenario) -> float:
+    """The nominal start on the run's side of the crossing; its own where the place has none."""
+    drawn: float = original.to_human()['distance_m']
+    if not original.line.is_runway:
+        return drawn
+    runway = original.runway
+    crossing_m = runway.crossings[0].x_m if runway.crossings else runway.length_m
+    beyond = original.distance_m > crossing_m
+    usual = DISTANCES_M[beyond]
+    return usual if usual <= runway.last_start_m and (usual > crossing_m) is beyond else drawn
 
 
 def _chosen(settings: Iterable[str]) -> dict[str, str]:

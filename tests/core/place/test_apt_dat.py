@@ -180,6 +180,18 @@ def test_given_no_such_runway_when_asked_for_then_those_that_there_are_are_named
         read_airport_place(written(tmp_path), 'XTST', '36')
 
 
+@pytest.mark.parametrize(('text', 'words'), [
+    (':XTST', 'XTST needs a runway, as in KSEA/16L; it has 09, 27, 01L, 19R, 05, 23'),
+    (':XTST/', 'XTST needs a runway, as in KSEA/16L; it has 09'),
+    ('', 'name an airport and a runway, as '),
+])
+def test_given_a_file_without_a_runway_when_typed_then_it_is_said_what_is_missing(
+    tmp_path, text, words
+):
+    with pytest.raises(UsageError, match=words):
+        typed_place(f'{written(tmp_path)}{text}')
+
+
 def test_given_taxi_routes_when_followed_then_a_run_goes_off_the_runway_along_them(tmp_path):
     network = (
         '1201 50.0000 8.006 both 0 on the runway\n1201 50.0020 8.006 both 1 corner\n'

@@ -146,6 +146,31 @@ def test_given_a_bad_value_when_read_then_one_line_names_file_and_key(
     assert '\n' not in str(caught.value)
 
 
+@pytest.mark.parametrize(('numbers', 'north_deg', 'sign', 'refused'), [
+    (('12', '30'), 49.0, 1, None),
+    (('30', '12'), 64.9, 1, 'from 30 to 12 it is 118 deg true'),
+    (('30', '12'), 65.1, 1, None),  # numbers of polar airports may follow the grid
+    (('08', '26'), 49.0, 1, None),  # a variation of 38 degrees
+    (('07', '25'), 49.0, 1, 'from 07 to 25 it is 118 deg true'),
+    (('12', '30'), 49.0, -1, 'from 12 to 30 it is 242 deg true'),  # west written as east
+])
+def test_given_numbers_that_the_bearing_cannot_have_then_they_are_refused(
+    tmp_path, numbers, north_deg, sign, refused
+):
+    turn_deg = 0.0094 / math.cos(math.radians(north_deg))
+    values = changed('runway.ends', [
+        {'designation': numbers[0], 'latitude_deg': north_deg, 'longitude_deg': sign * 20.0},
+        {'designation': numbers[1], 'latitude_deg': north_deg - 0.005,
+         'longitude_deg': sign * (20.0 + turn_deg)},
+    ])
+    path = written(tmp_path, values)
+    if refused is None:
+        assert read_place(path).runway.designations == numbers
+    else:
+        with pytest.raises(UsageError, match=f'runway.ends: {refused}'):
+            read_place(path)
+
+
 @pytest.mark.parametrize(('text', 'words'), [
     ('mars_04', "place is 'mars_04', not one of kmwh_04, bikf_10, nzqn_05, nor a YAML file"),
     ('own@0123456789ab', 'place own@0123456789ab is known by its digest only'),

@@ -170,6 +170,22 @@ def test_given_the_networks_fault_then_it_is_trained_along_the_failed_runs():
     )
 
 
+def test_given_scenes_for_another_shipped_network_then_that_one_is_tried_before_any_training():
+    found = evidence(
+        blames=Blames(network=4), outside='original was trained with place kmwh_04',
+        elsewhere='anywhere')
+    first, train, _ = todo(found)
+    assert first.heading == 'What to do'
+    assert 'The network anywhere was trained for such scenes' in first.sentences[0]
+    assert first.commands == (
+        'taxinet compare original anywhere why/scenes.scenic --seed 1000003 --spec phi_always '
+        '--set steering.heading_gain=1.1',
+    )
+    assert train.commands[0].startswith('taxinet train ')
+    camera = replace(SETTINGS, world='kmwh+sunny')
+    assert 'anywhere' not in todo(replace(found, settings=camera))[0].sentences[0]
+
+
 @pytest.mark.parametrize(('world', 'words', 'command'), [
     ('salt_lake', 'not of world salt_lake', None),
     ('kmwh+sunny', 'not those of camera sunny', 'taxinet dataset why/cause-1.scenic --count 2400 '

@@ -400,6 +400,30 @@ def test_given_a_run_that_was_pushed_then_what_pushed_it_goes_to_nominal_with_wh
         make_shrink_space(dataclasses.replace(pushed, wind_speed_mps=9.0), ['aircraft=c172p'])
 
 
+@pytest.mark.parametrize(('length_m', 'crossing_m', 'begun_m', 'nominal_m'), [
+    (1180.0, None, 200.0, 200.0),   # 1000 m is beyond the last start
+    (2000.0, None, 200.0, 1000.0),
+    (2000.0, 520.0, 200.0, 200.0),  # 1000 m is beyond the crossing
+    (2000.0, 520.0, 800.0, 800.0),
+    (2400.0, 520.0, 800.0, 1800.0),
+])
+def test_given_a_short_runway_then_the_nominal_start_is_on_it_and_before_the_same_crossing(
+    length_m, crossing_m, begun_m, nominal_m
+):
+    runway = {
+        'ends': [{'designation': '18', 'latitude_deg': 0.0, 'longitude_deg': 8.0},
+                 {'designation': '36', 'latitude_deg': -length_m / 110_574.3,
+                  'longitude_deg': 8.0}],
+        'width_m': 23, 'elevation_m': 0, 'category': 'visual', 'surface': 'asphalt',
+    }
+    if crossing_m is not None:
+        runway['crossings'] = [{'x_m': crossing_m, 'yaw_deg': 80, 'width_m': 30}]
+    place = json.dumps({'name': 'short', 'time_zone': 'UTC+01:00', 'runway': runway})
+    space = make_shrink_space(Scenario(place=place, distance_m=begun_m, clouds='cirrus'))
+    assert space.nominal.distance_m == nominal_m
+    assert ('distance_m' in {one.key for one in space.moving}) is (begun_m != nominal_m)
+
+
 def test_given_a_run_on_a_track_then_it_stays_there_and_where_it_began(tmp_path):
     failed = Scenario(track='exit_left', distance_m=250.0, cross_track_m=4.0, clouds='cirrus')
     space = make_shrink_space(failed)
