@@ -185,11 +185,11 @@ def estimate_latency(
 
 
 def _smoothed(values: Floats, period_s: float) -> Floats:
-    """Means over :data:`_SMOOTH_S` on both sides, NaN where one of them is."""
+    """Means over :data:`_SMOOTH_S` on both sides; NaN where that is more than there is."""
     half = min(round(_SMOOTH_S / max(period_s, 1e-3)), (len(values) - 1) // 2)
-    kernel = np.ones(2 * half + 1)
-    weights = np.convolve(np.ones(len(values)), kernel, 'same')
-    return np.asarray(np.convolve(values, kernel, 'same') / weights)
+    kernel = np.full(2 * half + 1, 1 / (2 * half + 1))
+    # A mean of one side only would be that of another time.
+    return np.pad(np.convolve(values, kernel, 'valid'), half, constant_values=np.nan)
 
 
 def _best_shift(
