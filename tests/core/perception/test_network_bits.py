@@ -92,6 +92,40 @@ def test_given_odd_sizes_strides_and_channels_then_a_layer_is_its_slow_twin_to_t
     np.testing.assert_array_equal(network.infer(picture), expected.reshape(1, 3))
 
 
+def of_zeros_and(draws: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    """Numbers of both signs; half of them are zeros, of both signs too."""
+    numbers = draws.standard_normal(shape, np.float32)
+    return numbers * draws.integers(0, 2, shape).astype(np.float32)
+
+
+@pytest.mark.parametrize('hole', [None, np.nan])
+def test_given_zeros_then_leaving_them_out_is_the_slow_twin_to_the_bit(
+    hole: float | None
+) -> None:
+    draws = np.random.default_rng(7)
+    # From 16 channels on, and of as many blocks as one, two, several and too many at a time.
+    shapes = [((1, 1, 16, 32), 1, 1), ((3, 5, 32, 96), 2, 2), ((2, 3, 96, 112), 1, 0),
+              ((3, 3, 112, 16), 2, 1), ((1, 2, 16, 208), 1, 0)]
+    picture = of_zeros_and(draws, (1, 9, 41, 16))
+    layers, expected = [], picture[0]
+    for shape, stride, padding in shapes:
+        weights = draws.standard_normal(shape, np.float32)
+        if hole is not None and shape[3] == 96:
+            weights[0, 0, 3, 5] = hole
+        biases = of_zeros_and(draws, shape[3:])
+        kind = {'stride': stride, 'padding': padding, 'rectified': stride > 1}
+        layers.append(pixels.Convolution(weights, biases, **kind))
+        expected = convolved(expected, weights, biases, **kind)
+    last = draws.standard_normal((*expected.shape, 16), np.float32)
+    kind = {'stride': 1, 'padding': 0, 'rectified': False}
+    layers.append(pixels.Convolution(last, np.zeros(16, np.float32), **kind))
+    expected = convolved(expected, last, np.zeros(16, np.float32), **kind)
+    assert np.isfinite(expected).all() == (hole is None)
+    network = pixels.Network(9, 41, layers)
+    for _ in range(2):  # the second time in planes that are used
+        np.testing.assert_array_equal(network.infer(picture), expected.reshape(1, 16))
+
+
 def test_given_numbers_that_overflow_then_the_answer_is_not_finite() -> None:
     weights = random_weights(3)
     weights['hidden.bias'][:] = np.nan

@@ -31,13 +31,15 @@ struct Linear {
 struct Place {
     std::int32_t offset, across, down;
 
+    // Row and column are in steps.
     INLINE Place(int rows, int columns, float row, float column) {
-        const std::int32_t y = within(rounded(row * kSteps), (rows - 1) * kSteps);
-        const std::int32_t x = within(rounded(column * kSteps), (columns - 1) * kSteps);
-        const std::int32_t top = lesser(y / kSteps, rows - 2);
-        const std::int32_t left = lesser(x / kSteps, columns - 2);
+        const std::int32_t y = within(rounded(row), (rows - 1) * kSteps);
+        const std::int32_t x = within(rounded(column), (columns - 1) * kSteps);
+        const std::int32_t top = lesser(y >> kStepBits, rows - 2);
+        const std::int32_t left = lesser(x >> kStepBits, columns - 2);
         offset = (top * columns + left) * kChannels;
-        across = weights(x - left * kSteps, 8) * 0x10001;
+        const std::int32_t both = weights(x - left * kSteps, 8);
+        across = both << 16 | both;
         down = weights(y - top * kSteps, 16);
     }
 
@@ -82,8 +84,8 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
         fall = fall < ruler.least_fall ? ruler.least_fall : fall;
         const float w = 1.0F / fall, uw = w * static_cast<float>(u);
         const float common = fall * fall * dither[u];
-        // Level i has the scale 2^-i. The larger side of the footprint, which has fewer pixels per
-        // texel, determines the level.
+        // Level i has the scale 2^-i, here times kSteps. The larger side of the footprint, which has
+        // fewer pixels per texel, determines the level.
         const float along_density =
             along_by_column[u] < along_of_row ? along_by_column[u] : along_of_row;
         const float across_density =
@@ -114,10 +116,17 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     }
 }
 
+// Neighbours share lines of the cache, but not those of other levels: every third pixel has another
+// dither, so that all levels are among them.
 void ask_for(const Texture &texture, const Places &places, int first) {
-    for (auto offset = places.offset.begin() + first; offset < places.offset.end(); ++offset) {
-        __builtin_prefetch(texture.texels + *offset);
-        __builtin_prefetch(texture.texels + *offset + texture.stride());
+    constexpr int kApart = 3;
+    const int width = static_cast<int>(places.offset.size());
+    const std::int32_t *offset = places.offset.data();
+    const std::ptrdiff_t stride = texture.stride();
+    for (int u = first; u < width; u += kApart) {
+        const std::uint8_t *upper = texture.texels + offset[u];
+        __builtin_prefetch(upper);
+        __builtin_prefetch(upper + stride);
     }
 }
 
@@ -128,7 +137,7 @@ Ground::Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
     : atlas_(std::move(atlas)),
       grain_(std::move(grain)),
       dither_(std::move(dither)),
-      ruler_(ruler),
+      ruler_(ruler.in_steps()),
       neutral_(neutral),
       scale_(scale),
       height_(static_cast<int>(dither_.shape(0))),
@@ -147,8 +156,8 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
                                                     }),
             "so many columns are hidden in each row, no more than it has");
     const View view{sight.fall(),
-                    sight.density(0, ruler_.along.texel_m),
-                    sight.density(1, ruler_.across.texel_m),
+                    sight.density(0, kSteps * ruler_.along.texel_m),
+                    sight.density(1, kSteps * ruler_.across.texel_m),
                     Linear(sight.coordinate(0, ruler_.along.unit_m, ruler_.along.origin)),
                     Linear(sight.coordinate(1, ruler_.across.unit_m, ruler_.across.origin)),
                     Linear(sight.coordinate_in_tile(0, ruler_.tile_m)),

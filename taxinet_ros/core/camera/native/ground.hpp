@@ -16,12 +16,13 @@ struct Axis {
     // Unit and origin of the coordinate, and texel size for footprints. The coordinate is counted
     // from the far end of the ripmap.
     double unit_m, origin, texel_m;
-    // Limits of the coordinate, the far end in texels, and the scale of the coarsest level.
-    float least, most, end, coarsest;
+    // Limits of the coordinate, the far end in texels, and the scales of the coarsest and of the
+    // finest level.
+    float least, most, end, coarsest, finest = 1.0F;
 
-    // The scale of a level is at most 1: with more pixels than texels the finest level is read.
+    // With more pixels than texels the finest level is read.
     INLINE float on_level(float coordinate, float level) const {
-        return clipped(coordinate, least, most) * clipped(level, coarsest, 1.0F) + end;
+        return clipped(coordinate, least, most) * clipped(level, coarsest, finest) + end;
     }
 };
 
@@ -52,6 +53,21 @@ struct Ruler {
     Bend bend;
     Tile grain_along, grain_across;
     double tile_m, grain_reach_m;
+
+    // Positions in steps of 1/32 texel, for levels scaled by as much; this rounds nothing.
+    Ruler in_steps() const {
+        Ruler ruler = *this;
+        for (Axis *axis : {&ruler.along, &ruler.across}) {
+            axis->end *= kSteps;
+            axis->coarsest *= kSteps;
+            axis->finest *= kSteps;
+        }
+        for (Tile *tile : {&ruler.grain_along, &ruler.grain_across}) {
+            tile->end *= kSteps;
+            tile->finest *= kSteps;
+        }
+        return ruler;
+    }
 };
 
 class Ground {

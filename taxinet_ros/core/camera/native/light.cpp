@@ -115,6 +115,7 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
     require(mask.ndim() == 2 && mask.shape(0) == rows.count && mask.shape(1) == rows.width &&
                 mask.strides(1) == 1,
             "a mask is as large as its part of the picture, its codes side by side");
+    constexpr int kEight = 8;  // pixels whose codes are compared at once
     // One extra byte, because four are written at once.
     std::array<std::array<std::uint8_t, kChannels + 1>, 256> left{};
     for (int code = 0; code < 256; ++code) {
@@ -132,7 +133,21 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
         while (end > first && code[end - 1] == 0) {
             --end;
         }
-        for (int u = first; u < end; ++u) {
+        int u = first;
+        for (std::uint64_t before = 0; u + kEight <= end; u += kEight) {
+            std::uint64_t now;
+            std::memcpy(&now, code + u, sizeof(now));
+            std::uint8_t *target = &share[kChannels * u];
+            if (u > first && now == before) {  // most are in full light or in full shade
+                std::memcpy(target, target - kChannels * kEight, kChannels * kEight);
+                continue;
+            }
+            before = now;
+            for (int i = 0; i < kEight; ++i) {
+                std::memcpy(target + kChannels * i, left[code[u + i]].data(), kChannels + 1);
+            }
+        }
+        for (; u < end; ++u) {
             std::memcpy(&share[kChannels * u], left[code[u]].data(), kChannels + 1);
         }
         keep_shares(rows.at(v) + kChannels * first, share.data() + kChannels * first,

@@ -6,10 +6,7 @@
 
 namespace pixels {
 
-INLINE int luma(const std::uint8_t *colour) {
-    constexpr int kRed = 9798, kGreen = 19235, kBlue = 3735, kBits = 15;
-    const int sum = kRed * colour[0] + kGreen * colour[1] + kBlue * colour[2];
-    return (sum + (1 << (kBits - 1))) >> kBits;
-}
+// Codes of so many pixels, three bytes each.
+void grey_codes(const std::uint8_t *colours, int count, std::uint8_t *grey);
 
 }  // namespace pixels

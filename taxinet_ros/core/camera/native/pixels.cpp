@@ -4,6 +4,7 @@
 #include "air.cpp"
 #include "ground.cpp"
 #include "light.cpp"
+#include "luma.cpp"
 #include "module.cpp"
 #include "network.cpp"
 #include "outline.cpp"

@@ -51,15 +51,16 @@ bool is_roomy(const Layer &layer, int first, int width) {
     return furthest + layer.texture->stride() + 8 <= layer.texture->owner.size();
 }
 
-// A layer for vector code. Each pixel is red, green, blue and an unused value, in words of four
-// bytes.
+// A layer for vector code, to be passed by value: it stays in registers. Each pixel is red, green,
+// blue and an unused value, in words of four bytes.
 struct Source {
     const std::uint8_t *texels = nullptr;
     std::ptrdiff_t stride = 0;
     const std::int32_t *offset = nullptr, *across = nullptr, *down = nullptr;
-    alignas(16) std::int32_t plain[4];
+    __m128i plain_pixel;
 
-    explicit Source(const Layer &layer) : plain{layer.plain[0], layer.plain[1], layer.plain[2], 0} {
+    explicit Source(const Layer &layer)
+        : plain_pixel(_mm_setr_epi32(layer.plain[0], layer.plain[1], layer.plain[2], 0)) {
         if (layer.texture != nullptr) {
             texels = layer.texture->texels;
             stride = layer.texture->stride();
@@ -67,10 +68,6 @@ struct Source {
             across = layer.places->across.data();
             down = layer.places->down.data();
         }
-    }
-
-    AVX2 INLINE __m128i plain_pixel() const {
-        return _mm_load_si128(reinterpret_cast<const __m128i *>(plain));
     }
 
     // Upper two texels in the lower half, lower two texels in the upper half; two bytes unused.
@@ -91,9 +88,9 @@ AVX2 INLINE __m256i halves(const std::int32_t *words) {
     return _mm256_blend_epi32(_mm256_set1_epi32(words[0]), _mm256_set1_epi32(words[1]), 0xF0);
 }
 
-AVX2 INLINE __m256i two_pixels(const Source &source, int u) {
+AVX2 INLINE __m256i two_pixels(Source source, int u) {
     if (source.texels == nullptr) {
-        return _mm256_broadcastsi128_si256(source.plain_pixel());
+        return _mm256_broadcastsi128_si256(source.plain_pixel);
     }
     const __m256i texels = _mm256_set_m128i(source.four_texels(u + 1), source.four_texels(u));
     const __m256i pairs =
@@ -104,8 +101,8 @@ AVX2 INLINE __m256i two_pixels(const Source &source, int u) {
 }
 
 // Returns the first column that is not processed.
-AVX2 int multiply_twos(const Source &ground, const Source &grain, float scale, int first,
-                       int width, std::uint8_t *row) {
+AVX2 int multiply_twos(Source ground, Source grain, float scale, int first, int width,
+                       std::uint8_t *row) {
     const __m256 factor = _mm256_set1_ps(scale);
     const __m128i order =
         _mm_setr_epi8(0, 1, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1);
@@ -130,9 +127,9 @@ AVX512 INLINE __m512i quarters(const std::int32_t *words) {
     return _mm512_permutexvar_epi32(index, _mm512_castsi128_si512(four));
 }
 
-AVX512 INLINE __m512i four_pixels(const Source &source, int u) {
+AVX512 INLINE __m512i four_pixels(Source source, int u) {
     if (source.texels == nullptr) {
-        return _mm512_broadcast_i32x4(source.plain_pixel());
+        return _mm512_broadcast_i32x4(source.plain_pixel);
     }
     const __m256i left = _mm256_set_m128i(source.four_texels(u + 1), source.four_texels(u));
     const __m256i right = _mm256_set_m128i(source.four_texels(u + 3), source.four_texels(u + 2));
@@ -144,8 +141,8 @@ AVX512 INLINE __m512i four_pixels(const Source &source, int u) {
 }
 
 // Returns the first column that is not processed.
-AVX512 int multiply_fours(const Source &ground, const Source &grain, float scale, int first,
-                          int width, std::uint8_t *row) {
+AVX512 int multiply_fours(Source ground, Source grain, float scale, int first, int width,
+                          std::uint8_t *row) {
     const __m512 factor = _mm512_set1_ps(scale);
     const __m128i order =
         _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1);

@@ -7,29 +7,81 @@
 #include <cmath>
 
 #include "luma.hpp"
+#include "vectors.hpp"
 
 namespace pixels {
 namespace {
 
-constexpr int kMostTaps = 3;
-
-FOR_EACH_PROCESSOR void grey_row(const std::uint8_t *__restrict colours, int width,
-                                 float *__restrict grey) {
-    for (int u = 0; u < width; ++u) {
-        grey[u] = static_cast<float>(luma(colours + kChannels * u));
-    }
+INLINE float average(const std::uint8_t *grey, const Shares &columns, int u) {
+    const std::uint8_t *from = grey + columns.first[u];
+    const float *weight = columns.weight.data() + u;
+    const int count = columns.count;
+    const float two = static_cast<float>(from[0]) * weight[0] +
+                      static_cast<float>(from[1]) * weight[count];
+    return two + static_cast<float>(from[2]) * weight[2 * count];
 }
 
-FOR_EACH_PROCESSOR void average_columns(const float *__restrict grey, const Shares &columns,
-                                        float *__restrict row) {
+#if defined(WITH_VECTORS)
+
+AVX2 INLINE __m256 weighted(__m128i codes, const float *weight) {
+    return _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(codes)), _mm256_loadu_ps(weight));
+}
+
+// Averages eight elements at a time, where their sources are within 16 codes. Returns the first
+// element that is not processed.
+AVX2 int average_eights(const std::uint8_t *grey, const Shares &columns,
+                        const std::vector<Taken> &taken, float *row) {
+    const float *weight = columns.weight.data();
     const int count = columns.count;
-    const std::int32_t *__restrict first = columns.first.data();
-    const float *__restrict weight = columns.weight.data();
-    INDEPENDENT
-    for (int u = 0; u < count; ++u) {
-        const float *from = grey + first[u];
-        const float two = from[0] * weight[u] + from[1] * weight[count + u];
-        row[u] = two + from[2] * weight[2 * count + u];
+    int u = 0;
+    for (const Taken &eight : taken) {
+        const __m128i codes =
+            _mm_loadu_si128(reinterpret_cast<const __m128i *>(grey + columns.first[u]));
+        const __m128i two = _mm_shuffle_epi8(
+            codes, _mm_load_si128(reinterpret_cast<const __m128i *>(eight.by_tap[0])));
+        const __m128i third = _mm_shuffle_epi8(
+            codes, _mm_load_si128(reinterpret_cast<const __m128i *>(eight.by_tap[2])));
+        const __m256 sum =
+            _mm256_add_ps(weighted(two, weight + u),
+                          weighted(_mm_srli_si128(two, kEight), weight + count + u));
+        _mm256_storeu_ps(row + u, _mm256_add_ps(sum, weighted(third, weight + 2 * count + u)));
+        u += kEight;
+    }
+    return u;
+}
+
+#endif
+
+// Sources of elements eight by eight, up to the first eight that are too far apart.
+std::vector<Taken> taken_by(const Shares &columns) {
+    std::vector<Taken> taken;
+    for (int u = 0; u + kEight <= columns.count; u += kEight) {
+        if (columns.first[u + kEight - 1] + kMostTaps - columns.first[u] > kCodes) {
+            break;
+        }
+        Taken eight{};
+        for (int tap = 0; tap < kMostTaps; ++tap) {
+            for (int i = 0; i < kEight; ++i) {
+                eight.by_tap[tap][i] =
+                    static_cast<std::uint8_t>(columns.first[u + i] - columns.first[u] + tap);
+            }
+        }
+        taken.push_back(eight);
+    }
+    return taken;
+}
+
+void average_columns(const std::uint8_t *grey, const Shares &columns,
+                     const std::vector<Taken> &taken, float *row) {
+    int u = 0;
+#if defined(WITH_VECTORS)
+    static const bool by_eight = __builtin_cpu_supports("avx2");
+    if (by_eight) {
+        u = average_eights(grey, columns, taken, row);
+    }
+#endif
+    for (; u < columns.count; ++u) {
+        row[u] = average(grey, columns, u);
     }
 }
 
@@ -95,7 +147,8 @@ Reduction::Reduction(int height, int width, std::vector<std::pair<int, int>> ban
     // average_columns uses three source elements per output element.
     require(columns_.taps <= kMostTaps, "a row is reduced by no more than a half");
     columns_.weight.resize(static_cast<std::size_t>(kMostTaps) * columns, 0.0F);
-    grey_.assign(static_cast<std::size_t>(width_) + kMostTaps, 0.0F);
+    taken_ = taken_by(columns_);
+    grey_.assign(static_cast<std::size_t>(width_) + kCodes, 0);
     row_.resize(columns_.count);
     sum_.resize(columns_.count);
 }
@@ -119,8 +172,8 @@ Bytes Reduction::reduce(const Bytes &frame) {
                 // Two output rows may share a frame row.
                 const int row = from + band.first[v] + tap;
                 if (row != averaged) {
-                    grey_row(frame.data(row), width_, grey_.data());
-                    average_columns(grey_.data(), columns_, row_.data());
+                    grey_codes(frame.data(row), width_, grey_.data());
+                    average_columns(grey_.data(), columns_, taken_, row_.data());
                     averaged = row;
                 }
                 add_row(row_.data(), weight, count, sum_.data());

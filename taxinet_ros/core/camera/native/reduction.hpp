@@ -16,6 +16,13 @@ struct Shares {
     Shares(int from, int to);
 };
 
+constexpr int kMostTaps = 3, kEight = 8, kCodes = 16;
+
+// Which of 16 codes are the sources of eight elements, by tap; the first two are side by side.
+struct alignas(kCodes) Taken {
+    std::uint8_t by_tap[kMostTaps + 1][kEight];
+};
+
 class Reduction {
   public:
     // Bands from the top of the frame: number of frame rows and of output rows.
@@ -28,7 +35,9 @@ class Reduction {
     Shares columns_;
     std::vector<Shares> rows_;
     int out_height_;
-    std::vector<float> grey_, row_, sum_;
+    std::vector<Taken> taken_;
+    std::vector<std::uint8_t> grey_;
+    std::vector<float> row_, sum_;
 };
 
 }  // namespace pixels

@@ -14,13 +14,6 @@ constexpr int kSamples = 16, kCorners = 4;
 constexpr int kWarpBits = 2 * kStepBits + 4;  // the weights of an element add up to 2^14
 static_assert(kSamples << (2 * kStepBits) == 1 << kWarpBits);
 
-FOR_EACH_PROCESSOR void grey_codes(const std::uint8_t *__restrict colours, int count,
-                                   std::uint8_t *__restrict grey) {
-    for (int u = 0; u < count; ++u) {
-        grey[u] = static_cast<std::uint8_t>(luma(colours + kChannels * u));
-    }
-}
-
 }  // namespace
 
 Warp::Warp(int height, int width, const Whole &places, int unseen)
