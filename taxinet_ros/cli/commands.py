@@ -116,7 +116,8 @@ def command_function(name: str) -> Any:
 def first_sentence(name: str) -> str:
     """The first sentence of a command's own text, out of its module, which is not imported."""
     module, attribute = _place(name)
-    source = Path(taxinet_ros.__path__[0], *module.split('.')[1:]).with_suffix('.py').read_text()
+    path = Path(taxinet_ros.__path__[0], *module.split('.')[1:]).with_suffix('.py')
+    source = path.read_text(encoding='utf-8')
     found = re.search(
         rf'^def {attribute}\(.*?\n    """(.+?)(?:"""|\n)'
         rf"|^{attribute} = command_group\(\s*'([^']*?\.)[ ']", source, re.MULTILINE | re.DOTALL,
