@@ -46,9 +46,8 @@ class LikeliestFailure:
         choices = ', '.join(f'{name} {value:+.2f}' for name, value in named[:_MOST_NAMED])
         mean = self.log_likelihood / len(named)
         return [
-            f'likeliest failure: run {self.row.index}, {self.sigma:.2f} sigma from the means, '
-            f'log-likelihood {self.log_likelihood:.2f} beside theirs ({mean:.2f} a choice); that '
-            'none is likelier is not proven',
+            f'likeliest failure found: run {self.row.index}, {self.sigma:.2f} sigma from the '
+            f'means, log-likelihood {self.log_likelihood:.2f} beside theirs ({mean:.2f} a choice)',
             f'  in sigma: {choices}' + (f', and {more} more' if more > 0 else ''),
         ]
 
