@@ -93,7 +93,10 @@ def test_given_a_known_likeliest_failure_then_the_summary_says_it(tmp_path: Path
     np.testing.assert_allclose(
         [found.deviations[name] for name in ('x', 'y')], [1.8, 2.4], atol=0.3)
     lines = search_summary(search)
-    (at,) = (number for number, line in enumerate(lines) if line.startswith('likeliest failure found: '))
+    (at,) = (
+        number for number, line in enumerate(lines)
+        if line.startswith('likeliest failure found: ')
+    )
     assert f'run {found.row.index}, 3.0' in lines[at]
     assert 'log-likelihood -4.5' in lines[at]
     assert '(-2.2' in lines[at]
