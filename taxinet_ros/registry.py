@@ -41,7 +41,7 @@ _NETWORKS = (
 )
 _SAMPLERS = (
     'random', 'halton', 'sobol', 'grid', 'coverage', 'active', 'ce', 'mab', 'bo',
-    'tpe', 'cmaes', 'splitting',
+    'tpe', 'cmaes', 'splitting', 'stress',
 )
 
 

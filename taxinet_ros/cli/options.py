@@ -371,8 +371,8 @@ SamplerOption = Annotated[
     typer.Option(
         help='how scenes are chosen: active (finds rare failures in all failure regions), '
         'random, halton, sobol, grid, coverage (where no run has been), ce, mab, bo, '
-        "tpe, cmaes, or a name that a package adds (default: the program's verifaiSamplerType, "
-        'else active)',
+        'tpe, cmaes, stress (towards the likeliest failure), or a name that a package adds '
+        "(default: the program's verifaiSamplerType, else active)",
         autocompletion=complete_sampler,
     ),
 ]

@@ -28,6 +28,7 @@ from taxinet_ros.samplers.sampler import (
 from taxinet_ros.samplers.space import Dimension, Point, Space
 from taxinet_ros.samplers.space_filling import Grid
 from taxinet_ros.samplers.splitting import make_splitting
+from taxinet_ros.samplers.stress import Stress
 
 Values = Mapping[str, float]
 _T = TypeVar('_T')
@@ -250,6 +251,10 @@ SPLITTING = SamplerKind(
             meaning='least probability to look for', default=1e-6, low=1e-12, high=0.5,
         ),
     },
+)
+STRESS = proposer_kind(
+    'adaptive stress testing: towards the likeliest disturbances that fail',
+    lambda space, seed, runs, values: Stress(space, seed), floor=0.0,
 )
 
 

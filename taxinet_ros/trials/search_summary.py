@@ -12,11 +12,13 @@ import numpy as np
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.samplers.space import Branch
+from taxinet_ros.samplers.stress import NAME as STRESS
 from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.rates import failure_rate, off_runway_rate
 from taxinet_ros.trials.search import COVERAGE, Search
 from taxinet_ros.trials.sequential import FAILURES
+from taxinet_ros.trials.stress import likeliest_failure
 from taxinet_ros.trials.summary import (
     ON_STANDING_GRAPH,
     participants_words,
@@ -104,6 +106,8 @@ def search_summary(search: Engine[Search], resuming: str = '--resume') -> list[s
     lines += found.blind_words()
     if (worst := found.worst) is not None:
         lines.append(f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}')
+    if search.proposer.sampler == STRESS and (failure := likeliest_failure(search.rows)):
+        lines += failure.words()
     lines += [*_rule_lines(search), *_odd_lines(search), found.table_line(campaign)]
     lines += found.next_line(campaign)
     why = 'interrupted' if search.interrupted else search.stopped

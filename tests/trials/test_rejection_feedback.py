@@ -19,7 +19,7 @@ RHO_OF_REJECTED = {
     # Those that learn from results hear of a rejection as of a run with this robustness.
     'ce': 1.0, 'mab': 1.0, 'bo': 1.0, 'tpe': 1.0, 'cmaes': 1.0, 'active': 1.0,
 }
-PASSIVE = ('random', 'halton', 'sobol', 'grid', 'coverage', 'splitting')
+PASSIVE = ('random', 'halton', 'sobol', 'grid', 'coverage', 'splitting', 'stress')
 
 
 class Choosy(toy.ToySource):

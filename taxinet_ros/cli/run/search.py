@@ -16,6 +16,7 @@ from taxinet_ros.cli.run.campaign import run_on_workers, search_view
 from taxinet_ros.errors import ExitCode, plain_line
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
+from taxinet_ros.samplers.stress import NAME as STRESS
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.engine import Engine
@@ -23,6 +24,7 @@ from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.search import Search
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
+from taxinet_ros.trials.stress import likeliest_failure
 from taxinet_ros.trials.summary import (
     requirement_lines,
     row_headings,
@@ -68,6 +70,9 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
     console.print('\n'.join(lines), soft_wrap=True)
     if as_json:
         values = summary_json(search.summary, asked.campaign, planned)
+        if asked.sampler == STRESS:
+            failure = likeliest_failure(search.rows)
+            values['likeliest_failure'] = failure and failure.to_json()
         print(json.dumps({**values, 'sampler': asked.sampler}, allow_nan=False))
     if search.interrupted and len(search.rows) < search.options.runs:
         return ExitCode.INTERRUPTED
