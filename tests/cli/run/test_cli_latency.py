@@ -100,7 +100,7 @@ def test_r5_given_a_failed_run_when_shrunk_then_every_run_has_its_draws(folder):
     )
     campaign = shrinking.campaign
     assert campaign.timing.words == f'{WORDS} draws=0.1'
-    assert campaign_graph(campaign, campaign.system('', '')).timing == campaign.timing
+    assert campaign_graph(campaign, campaign.alone()).timing == campaign.timing
     with Engine(shrinking, PARTICIPANTS) as engine:
         assert engine.next() is not None
     assert read_facts(folder / 'small')['timing'] == f'{WORDS} draws=0.1'
