@@ -20,8 +20,8 @@ SHIPPED_TRACKS = ('runway', 'exit_left', 'rapid_exit')
 
 _OF_AIRPORT = re.compile(
     r'(?:(.+\.dat(?:\.gz)?):)?([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
-_NO_RUNWAY = re.compile(r'(.+\.dat(?:\.gz)?)(?::([A-Za-z0-9]*)/?)?')
 """``FILE:ICAO/RUNWAY`` or ``ICAO/RUNWAY``, optionally with ``@ZONE``."""
+_NO_RUNWAY = re.compile(r'(.+\.dat(?:\.gz)?)(?::([A-Za-z0-9]*)/?)?')
 _RANDOM = re.compile(f'{PREFIX}([0-9]{{1,10}})')
 _APT_DAT = (
     '/usr/share/games/flightgear/Airports/apt.dat.gz', '/usr/share/flightgear/Airports/apt.dat.gz',
