@@ -328,13 +328,14 @@ def check_unchanged(
     Raises:
         UsageError: it is not.
     """
+    before = f'sha256 {recorded[:12]}…' if recorded else 'without weights'
     try:
         found = find()
     except UsageError as error:
-        raise UsageError(f'{error}; {fix}') from error
+        raise UsageError(
+            f"the run's {role} {word!r} ({before}) is not here: {error}; {fix}") from error
     if found != recorded and not is_node_elsewhere(word):
-        now, before = (f'sha256 {one[:12]}…' if one else 'without weights'
-                       for one in (found, recorded))
+        now = f'sha256 {found[:12]}…' if found else 'without weights'
         raise UsageError(f'{role} {word} is {now} here, and was {before} in the runs; {fix}')
 
 
