@@ -55,6 +55,7 @@ def _errors(draw: random.Random) -> ErrorStatistics:
 def record(folder: Path, runs: int) -> None:
     """Record made-up runs; about every tenth fails."""
     asked, draw = _options(folder, runs), random.Random(0)
+    headline = asked.judging.headline
     scenes = [
         Scenario(
             cross_track_m=draw.uniform(-2, 2), distance_m=draw.uniform(500, 2000),
@@ -70,7 +71,7 @@ def record(folder: Path, runs: int) -> None:
             rho = draw.uniform(-0.1, 0.9)
             row = finished_row(asked, request, RunResult(
                 outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
-                robustness={asked.judging.headline: RobustnessInterval.exactly(rho)},
+                robustness={headline: RobustnessInterval.exactly(rho)},
                 last_seq=300, wall_s=draw.uniform(0.3, 0.5), statistics=RunStatistics(
                     max_cross_track_m=draw.random(), settle_time_s=draw.random(),
                     cte_error=_errors(draw), he_error=_errors(draw),

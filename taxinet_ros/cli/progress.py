@@ -116,7 +116,7 @@ class Heartbeat:
     """Says on standard error, now and then, how far a command is whose output is not a terminal."""
 
     def __init__(self) -> None:
-        self._stage = ''
+        self._stage, self._first = '', 0
         self._began = self._told = time.monotonic()
         self._every_s = _heartbeat_s()
 
@@ -124,13 +124,13 @@ class Heartbeat:
         """Tell of ``done`` of ``total`` in a stage, unless something was told just before."""
         now = time.monotonic()
         if stage != self._stage:
-            self._stage, self._began = stage, now
+            self._stage, self._began, self._first = stage, now, done
         if now - self._told < self._every_s:
             return
         self._told = now
         left = ''
-        if 0 < done < total:
-            seconds = round((now - self._began) * (total - done) / done)
+        if self._first < done < total:
+            seconds = round((now - self._began) * (total - done) / (done - self._first))
             left = f', about {datetime.timedelta(seconds=seconds)} left'
         how_far = f': {done} of {total}{left}' if total else ''
         print(f'{stage}{how_far}', file=sys.stderr, flush=True)

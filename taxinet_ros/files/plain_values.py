@@ -14,6 +14,7 @@ import json
 import math
 import re
 import reprlib
+import sys
 import types
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -89,6 +90,8 @@ def typed(kind: type[_Typed], values: Mapping[str, Any]) -> _Typed:
         TypeError, ValueError, LookupError: a field is missing, unknown or of another form.
     """
     hints = _hints(cast(Any, kind))
+    if not isinstance(values, Mapping):
+        raise TypeError(f'{kind.__name__}: {type(values).__name__} in place of its fields')
     return kind(**{name: _typed(hints.get(name), value) for name, value in values.items()})
 
 
@@ -99,14 +102,14 @@ def _hints(kind: type) -> Mapping[str, Any]:
 
 def _typed(hint: Any, value: Any) -> Any:
     origin, parts = get_origin(hint), get_args(hint)
-    if value is None:
-        return None
     if origin in (Union, types.UnionType):
-        return _typed(parts[0], value)
+        return None if value is None else _typed(parts[0], value)
     if origin is tuple:
         kinds = parts[:1] * len(value) if parts[1:] == (...,) else parts
         return tuple(_typed(kind, one) for kind, one in zip(kinds, value, strict=True))
     if origin is Mapping:
+        if not isinstance(value, Mapping):
+            raise TypeError(f'{type(value).__name__} in place of a mapping')
         return {key: _typed(parts[1], one) for key, one in value.items()}
     if dataclasses.is_dataclass(hint):
         return typed(cast('type[Any]', hint), value)
@@ -468,4 +471,4 @@ def is_number(value: object, low: float, high: float | None = None) -> TypeGuard
     """Whether a value is a finite number in a range."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return low <= value < float('inf') if high is None else low <= value <= high
+    return low <= value <= (sys.float_info.max if high is None else high)

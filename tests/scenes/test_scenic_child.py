@@ -51,6 +51,18 @@ def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
     assert error['message'].startswith(message)
 
 
+def test_given_a_program_that_uses_networkx_when_drawn_then_it_is_the_whole_of_it(
+    client: Any, compiled: Any,
+) -> None:
+    compiled(
+        'import networkx, trimesh\nfrom networkx import Graph\n'
+        'nodes = len(trimesh.creation.box().vertex_adjacency_graph)\n'
+        'model runway_world\nego = new Plane at (0, 400)\n'
+        'param duration = nodes + len(networkx.path_graph(3)) + len(Graph())\n'
+    )
+    assert client.ask(op='scene', index=0)['values']['duration_s'] == 11.0
+
+
 def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
     client: Any, compiled: Any,
 ) -> None:

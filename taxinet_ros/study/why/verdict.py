@@ -436,8 +436,8 @@ def _tested(evidence: Evidence) -> Table:
 def _paired_row(cause: CauseEvidence, paired: Paired, evidence: Evidence) -> tuple[Cell, ...]:
     where = f'cause {cause.rank}' if cause.rank else 'near it' if evidence.single else 'all scenes'
     return (
-        f'{where}: satisfied {paired.words}, before {paired.before}', paired.after, paired.scenes,
-        100 * paired.difference, 100 * paired.low, 100 * paired.high,
+        f'{where}: satisfied {paired.words} (as recorded: {paired.before})', paired.after,
+        paired.scenes, 100 * paired.difference, 100 * paired.low, 100 * paired.high,
         p_words(paired.p).removeprefix('p ').removeprefix('= '),
     )
 

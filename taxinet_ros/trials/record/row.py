@@ -229,10 +229,10 @@ class RunRow(_SceneColumns):
         if self.bag and not is_bag_name(self.bag):
             raise ValueError(f'bag is {self.bag!r:.80}, not a plain name')
         self._check_words()
-        for column in dataclasses.fields(self):
-            value = getattr(self, column.name)
+        for name in _NAMES:
+            value = getattr(self, name)
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f'{LONGER.get(column.name, column.name)} is {value}')
+                raise ValueError(f'{LONGER.get(name, name)} is {value}')
         try:
             parse_timing(self.timing)
         except UsageError as error:
