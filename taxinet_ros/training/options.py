@@ -144,15 +144,12 @@ class TrainOptions:
                 raise UsageError(
                     f'train: {name} {given!r} is unknown; known: {", ".join(known)}'
                 )
-        if self.view is not None and self.add_data:
-            raise UsageError('train: --view: of added folders the camera is unknown; leave one out')
 
     def _check_data(self) -> None:
         for option, given in (
             ('--varied', self.varied), ('--sampler', self.sampler != 'random'),
             ('--validation-program', self.validation_program),
             ('--add or --add-runs', self.add or self.add_data),
-            ('--view', self.view),
         ):
             if given:
                 raise UsageError(
