@@ -202,7 +202,7 @@ def _read_folders(options: TrainOptions, progress: Progress) -> TrainingData:
         return TrainingData(
             training=kept, validation=held_back, training_data=sources, domain=domain,
         )
-    _check_batch(options, len(training))
+    options.check_batch(len(training))
     validation, others = load_folders(
         (options.validation_data,), workers=workers, view=options.view, stage='held back',
         progress=progress,
@@ -218,17 +218,13 @@ def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
     left = len(dataset) - options.validation
     if left < 1:
         raise UsageError(
-            f'train: --validation {options.validation} leaves none of {len(dataset)} images to '
-            'train on; use fewer'
+            f'train: {len(dataset)} images are too few to hold out {options.validation} of them, '
+            f'as --validation or its default says; use --validation {len(dataset) // 5 or 1}, or '
+            '--validation-data FOLDER'
         )
-    _check_batch(options, left)
+    options.check_batch(left)
     order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))
     return dataset.take(np.sort(order[:left])), dataset.take(np.sort(order[left:]))
-
-
-def _check_batch(options: TrainOptions, images: int) -> None:
-    if options.batch > images:
-        raise UsageError(f'train: a batch of {options.batch} is more than {images} images')
 
 
 def _check_device(device: str) -> None:
