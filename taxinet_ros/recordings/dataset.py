@@ -7,7 +7,6 @@ the validation set whose neighbour was trained on says nothing.
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 
 import cv2
@@ -15,7 +14,6 @@ import numpy as np
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.files.plain_values import dump_yaml
 from taxinet_ros.recordings.score import Score, row_pictures
 from taxinet_ros.training.data.dataset_folder import IMAGES
 from taxinet_ros.training.data.image_folder import FOREIGN_LABELS
@@ -62,8 +60,7 @@ def write_datasets(found: Score, out: Path) -> dict[str, int]:
         for key, one in () if rig is None else (('camera', rig.camera), ('aircraft', rig.aircraft)):
             labels[key] = one.name if one.shipped else f'{key}.yaml'
             if not one.shipped:
-                text = dump_yaml(json.loads(one.document))
-                write_atomically(folder / f'{key}.yaml', text.encode())
+                write_atomically(folder / f'{key}.yaml', one.yaml)
         write_atomically(folder / FOREIGN_LABELS, labels.to_csv(index=False, lineterminator='\n'))
         counts[str(folder)] = len(rows)
     return counts
