@@ -167,6 +167,13 @@ PictureOption = Annotated[
         help='picture to write; must be new (default: below bags/)',
     ),
 ]
+YamlOption = Annotated[
+    Path | None,
+    typer.Option(
+        '--yaml', metavar='FILE.yaml', writable=True, dir_okay=False,
+        help='also write it as a YAML file, to be changed; must be new',
+    ),
+]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
 PerceptionOption = Annotated[
     str,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from taxinet_ros.errors import UsageError, near_miss
-from taxinet_ros.files.plain_values import Section, load_json
+from taxinet_ros.files.plain_values import Section, dump_yaml, load_json
 from taxinet_ros.files.reading import MAX_TEXT_BYTES, read_text
 
 NAME = re.compile(r'[a-z][a-z0-9_]{0,39}')
@@ -46,6 +46,11 @@ class NamedDocument:
     def text(self) -> str:
         """Self-contained text for scenarios: a shipped name, or the document."""
         return self.name if self.shipped else self.document
+
+    @property
+    def yaml(self) -> str:
+        """Text of a YAML file of it, from which it is read again, to be changed."""
+        return dump_yaml(json.loads(self.document), inline=True)
 
     @cached_property
     def digest(self) -> str:

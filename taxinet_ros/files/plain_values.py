@@ -156,9 +156,17 @@ def load_yaml(text: str, *, aliases: bool = True) -> Any:
         raise ValueError(f'not YAML of plain values: {text[:60]!r}') from error
 
 
-def dump_yaml(value: Any) -> str:
-    """Dump ``value`` as YAML in the given order, without aliases, for rosbag2's readers."""
-    return yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
+def dump_yaml(value: Any, *, inline: bool = False) -> str:
+    """Dump ``value`` as YAML in the given order, without aliases, for rosbag2's readers.
+
+    Args:
+        value: plain values.
+        inline: whether lists of numbers are in one line, for people.
+    """
+    return yaml.dump(
+        value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True,
+        default_flow_style=None if inline else False,
+    )
 
 
 # mypy cannot know the type of a base class chosen at run time.

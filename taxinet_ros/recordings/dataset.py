@@ -46,7 +46,7 @@ def write_datasets(found: Score, out: Path) -> dict[str, int]:
     for folder in bags:
         if folder.exists():
             raise UsageError(f'--dataset {out}: {folder} exists; choose a new folder')
-    counts = {}
+    counts, rig = {}, found.setup.rig
     for folder, bag in bags.items():
         make_folder(folder / IMAGES)
         rows, names, digests = thinned(found, bag), [], []
@@ -57,6 +57,10 @@ def write_datasets(found: Score, out: Path) -> dict[str, int]:
             digests.append(hashlib.sha256(data).hexdigest())
         labels = found.table.loc[rows, _POSE].assign(sha256=digests)
         labels.insert(0, 'image', names)
+        for key, one in () if rig is None else (('camera', rig.camera), ('aircraft', rig.aircraft)):
+            labels[key] = one.name if one.shipped else f'{key}.yaml'
+            if not one.shipped:
+                write_atomically(folder / f'{key}.yaml', one.yaml)
         write_atomically(folder / FOREIGN_LABELS, labels.to_csv(index=False, lineterminator='\n'))
         counts[str(folder)] = len(rows)
     return counts

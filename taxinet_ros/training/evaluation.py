@@ -149,7 +149,7 @@ def evaluate_folder(
     Raises:
         UsageError: the folder, its labels or an image cannot be used.
     """
-    opened = open_folder(folder)
+    opened = open_folder(folder, rigs=getattr(perception, 'view', None) is not None)
     measured = _measure(perception, _frames(opened), len(opened), progress)
     return [_with_doubts(_slice(WHOLE, measured.errors), measured)]
 
@@ -250,4 +250,4 @@ def _whole(index: int, image: NDArray[np.uint8], truth: TrackingError, rig: Rig)
 
 def _frames(folder: ImageFolder) -> Iterator[_Frame]:
     for row, frame in enumerate(folder.frames):
-        yield folder.picture(row)[0], frame.truth, None
+        yield folder.picture(row)[0], frame.truth, frame.rig

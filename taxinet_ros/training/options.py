@@ -124,11 +124,23 @@ class TrainOptions:
         elif self.sampler not in SAMPLERS:
             known = ', '.join(SAMPLERS)
             raise UsageError(f'train: sampler {self.sampler!r} is unknown; known: {known}')
-        elif self.batch > self.images:
-            raise UsageError(f'train: a batch of {self.batch} is more than {self.images} images')
         elif self.places and (self.sampler != 'random' or self.validation_program):
             option = '--validation-program' if self.validation_program else '--sampler'
             raise UsageError(f'train: {option} goes with a program, not with --place')
+        else:
+            self.check_batch(self.images)
+
+    def check_batch(self, images: int) -> None:
+        """Check that a batch is not more than all training pictures.
+
+        Raises:
+            UsageError: it is.
+        """
+        if self.batch > images:
+            raise UsageError(
+                f'train: a batch of {self.batch}, as --batch or its default says, is more than the '
+                f'{images} images to train on; use --batch {images} or less'
+            )
 
     @property
     def architecture_name(self) -> str:
@@ -144,15 +156,12 @@ class TrainOptions:
                 raise UsageError(
                     f'train: {name} {given!r} is unknown; known: {", ".join(known)}'
                 )
-        if self.view is not None and self.add_data:
-            raise UsageError('train: --view: of added folders the camera is unknown; leave one out')
 
     def _check_data(self) -> None:
         for option, given in (
             ('--varied', self.varied), ('--sampler', self.sampler != 'random'),
             ('--validation-program', self.validation_program),
             ('--add or --add-runs', self.add or self.add_data),
-            ('--view', self.view),
         ):
             if given:
                 raise UsageError(
@@ -246,7 +255,9 @@ class TrainOptions:
         """
         out = self.out
         if out.suffix != SUFFIX:
-            raise UsageError(f'train: --out {out}: has to end in {SUFFIX}')
+            raise UsageError(
+                f'train: --out {out}: networks are {SUFFIX} files; use {out.stem}{SUFFIX}'
+            )
         if not out.parent.is_dir():
             raise UsageError(f'train: --out {out}: {out.parent} is not a folder; make it first')
         if not os.access(out.parent, os.W_OK | os.X_OK):

@@ -121,7 +121,9 @@ def _render_scenes(
         validation_data = () if other is None else (program_source(other),)
         lots = _program_scenes(options, program, progress)
     added, folders = load_folders(
-        options.add_data, workers=options.workers, stage='added images', progress=progress)
+        options.add_data, workers=options.workers, view=options.view, stage='added images',
+        progress=progress,
+    )
     sources = (*own, *(portion.source() for portion in options.add), *folders)
     # The program's own groups come first, so that additions do not change their pictures.
     lots += _added_scenes(options, progress)
@@ -193,15 +195,17 @@ def _added_scenes(options: TrainOptions, progress: Progress) -> list[_SceneGroup
 
 def _read_folders(options: TrainOptions, progress: Progress) -> TrainingData:
     workers, domain = options.workers, folders_domain(options.data)
-    training, sources = load_folders(options.data, workers=workers, progress=progress)
+    training, sources = load_folders(
+        options.data, workers=workers, view=options.view, progress=progress)
     if options.validation_data is None:
         kept, held_back = _split(options, training)
         return TrainingData(
             training=kept, validation=held_back, training_data=sources, domain=domain,
         )
-    _check_batch(options, len(training))
+    options.check_batch(len(training))
     validation, others = load_folders(
-        (options.validation_data,), workers=workers, stage='held back', progress=progress
+        (options.validation_data,), workers=workers, view=options.view, stage='held back',
+        progress=progress,
     )
     return TrainingData(
         training=training, validation=validation, training_data=sources, validation_data=others,
@@ -214,17 +218,13 @@ def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
     left = len(dataset) - options.validation
     if left < 1:
         raise UsageError(
-            f'train: --validation {options.validation} leaves none of {len(dataset)} images to '
-            'train on; use fewer'
+            f'train: {len(dataset)} images are too few to hold out {options.validation} of them, '
+            f'as --validation or its default says; use --validation {len(dataset) // 5 or 1}, or '
+            '--validation-data FOLDER'
         )
-    _check_batch(options, left)
+    options.check_batch(left)
     order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))
     return dataset.take(np.sort(order[:left])), dataset.take(np.sort(order[left:]))
-
-
-def _check_batch(options: TrainOptions, images: int) -> None:
-    if options.batch > images:
-        raise UsageError(f'train: a batch of {options.batch} is more than {images} images')
 
 
 def _check_device(device: str) -> None:
@@ -263,11 +263,6 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     named_places(options.places)
     start = None if options.start is None else load_model(weights_path(options.start))
     if start is not None:
-        if start.card.view and options.view is None and (options.data or options.add_data):
-            raise UsageError(
-                f'train: --start {options.start}: sees through the virtual camera '
-                f'{start.card.view}, and of folders the camera is unknown; start from another '
-                'network, or render scenes')
         options = replace(
             options, view=options.view or start.card.view,
             architecture=options.architecture or start.card.architecture)

@@ -37,7 +37,7 @@ OUTPUT_FILES = {
     'check-node --log',
     'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd coverage --plot',
-    'odd export --out', 'place --out', 'train --out',
+    'odd export --out', 'place --out', 'place --yaml', 'train --out',
 }
 OUTPUT_FOLDERS = {
     'analyze --out', 'assure judge --out', 'bag recover --out', 'bag render --out',

@@ -14,6 +14,9 @@ from PIL import Image
 from synthetic import Drive, pixels_of, record
 
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet
+from taxinet_ros.core.perception.weights import load_model, weights_path
+from taxinet_ros.training.data.image_folder import load_folders
 
 KNOWN = '--place', 'kmwh_04', '--truth', '/fix', '--heading', '/imu'
 
@@ -186,6 +189,39 @@ def test_given_recordings_then_labelled_images_are_thinned_and_trained_on(taxine
         ('program', 'training_original'), ('folder', 'one')]
     assert '--add images/one' in card.command_line
     assert card.domain is None
+
+
+def test_given_a_known_camera_then_labelled_images_name_it_and_a_view_shows_them_as_in_the_run(
+    taxinet, tmp_path
+):
+    (tmp_path / 'mine.yaml').write_text('{base: nose, dx_m: 0.2, dyaw_deg: 2}')
+    code, *_ = taxinet(
+        'run', 'nominal', '--engine', 'loop', '--images', 'all', '--set', 'duration=3', '--set',
+        'camera=mine.yaml', '--perception', 'anywhere', '--seed', '3', '--out', 'ours',
+        '--exit-zero')
+    assert code == 0
+    bag = next((tmp_path / 'ours').glob('nominal-*'))
+    code, _, err = taxinet('score', bag, '--perception', 'anywhere', '--dataset', 'images')
+    assert (code, err) == (0, '')
+    folder, run = tmp_path / 'images' / bag.name, open_recording(bag)
+    labels = pd.read_csv(folder / 'labels.csv')
+    assert set(zip(labels['camera'], labels['aircraft'], strict=True)) == {
+        ('camera.yaml', 'caravan')}
+    pictures = load_folders([folder], workers=1, view='ahead')[0].pictures
+    anywhere = load_model(weights_path('anywhere'))
+    network = TaxiNet(ARCHITECTURES[anywhere.card.architecture], anywhere.weights)
+    shown = run.trace.set_index('cte_m').loc[labels['cte_m'], ['est_cte_m', 'est_he_rad']]
+    assert len(pictures) == len(shown) > 5
+    assert network.infer(pictures).tolist() == shown.to_numpy().tolist()
+    code, _, err = taxinet(
+        'train', 'training_original', '--images', '8', '--validation', '4', '--epochs', '1',
+        '--batch', '4', '--workers', '1', '--start', 'anywhere', '--add', folder, '--out',
+        'mixed.safetensors')
+    assert code == 0, err
+    card = load_model(tmp_path / 'mixed.safetensors').card
+    assert (card.view, card.images) == ('ahead', 8 + len(labels))
+    assert [(one.kind, one.name) for one in card.training_data] == [
+        ('program', 'training_original'), ('folder', bag.name)]
 
 
 def test_given_labelled_frames_when_laid_into_a_bag_then_their_labels_are_the_truth(

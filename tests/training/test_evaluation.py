@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from training_samples import foreign_folder
+from training_samples import coloured_frame, foreign_folder
 
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
@@ -76,6 +76,20 @@ def test_given_a_folder_when_measured_then_errors_are_those_of_its_labels(tmp_pa
     # Images 0, 1, 3 and 4 m to the left, each seen at 0.5 m.
     assert row.errors['cte_m']['mae'] == pytest.approx((0.5 + 0.5 + 2.5 + 3.5) / 4)
     assert row.errors['he_deg']['max'] == pytest.approx(10.0)
+
+
+def test_given_a_network_with_a_view_when_measured_on_a_folder_then_it_sees_as_in_a_run(
+    tmp_path: Path,
+) -> None:
+    network = make_perception('anywhere')
+    folder = foreign_folder(tmp_path / 'f', images=3, camera='wing', aircraft='c172p')
+    (row,) = evaluate_folder(network, folder)
+    network.begin(Scenario(aircraft='c172p').rig)
+    seen = [network.estimate(coloured_frame(index), None).cte_m for index in range(3)]
+    mean = np.abs(np.array(seen) - [0, 1, 2]).mean()
+    assert row.errors['cte_m']['mae'] == round(float(mean), 4)
+    with pytest.raises(UsageError, match='names no camera and no aircraft'):
+        evaluate_folder(network, foreign_folder(tmp_path / 'unnamed'))
 
 
 def test_given_estimates_with_the_wrong_sign_then_their_errors_turned_round_are_told() -> None:

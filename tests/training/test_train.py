@@ -187,7 +187,12 @@ def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_progra
 
 
 @pytest.mark.parametrize(
-    ('validation', 'batch', 'reason'), [(8, 1, 'leaves none of 8'), (4, 5, 'more than 4 images')]
+    ('validation', 'batch', 'reason'), [
+        (8, 1, '8 images are too few to hold out 8 of them, as --validation or its default says; '
+         'use --validation 1, or --validation-data'),
+        (4, 5, 'a batch of 5, as --batch or its default says, is more than the 4 images to train '
+         'on; use --batch 4 or less'),
+    ],
 )
 def test_given_too_few_rows_when_trained_then_one_line_says_so(
     validation: int, batch: int, reason: str, tmp_path: Path
@@ -234,7 +239,8 @@ def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so
 @pytest.mark.parametrize(
     ('name', 'reason'),
     [
-        ('net.pt', 'has to end in .safetensors'),
+        ('net.pt', 'networks are .safetensors files; use net.safetensors'),
+        ('net', 'networks are .safetensors files; use net.safetensors'),
         ('none/net.safetensors', 'is not a folder'),
         ('file/net.safetensors', 'is not a folder'),
         ('old.safetensors', 'exists'),

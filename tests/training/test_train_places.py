@@ -10,15 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from training_samples import foreign_folder
 
 from taxinet_ros.core.camera.light import sun_position
 from taxinet_ros.core.perception.eye import find_eye
 from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.perception.weights import load_model
 from taxinet_ros.core.place.random_place import SPLITS
+from taxinet_ros.core.rig.catalogue import find_camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data import dataset as datasets
 from taxinet_ros.training.data.dataset import no_progress
+from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.photographs import photograph
 from taxinet_ros.training.data.places import named_places, places_scenes
 from taxinet_ros.training.options import TrainOptions
@@ -148,13 +152,37 @@ def test_given_a_view_when_pictures_are_made_then_they_are_those_of_the_eye(
         assert training.cte_m[row] == truth.cte_m
 
 
+def test_given_folders_that_name_their_cameras_when_trained_on_with_a_view_then_the_card_says_it(
+    tmp_path: Path,
+) -> None:
+    folder = foreign_folder(tmp_path / 'drive', images=6, camera='nose', aircraft='caravan',
+                            shape=find_camera('nose').shape)
+    out = tmp_path / 'net.safetensors'
+    data = {'places': (), 'data': (folder,), 'validation': 2}
+    card = train(options(out, **data))
+    assert (card.view, card.images, card.validation, card.domain) == ('ahead', 4, 2, None)
+    assert card.command_line.startswith(f'taxinet train --data {folder} --view ahead ')
+    added = options(tmp_path / 'more.safetensors', places=('kmwh_04',), add_data=(folder,),
+                    view=None, start=str(out), images=4)
+    card = train(added)
+    assert (card.view, card.images) == ('ahead', 4 + 6)
+    assert [(one.kind, one.name) for one in card.training_data] == [
+        ('places', 'kmwh_04'), ('folder', 'drive')]
+    assert card.start_sha256 == load_model(out).fingerprint
+    material = get_training_data(dataclasses.replace(added, view='ahead'), no_progress)
+    np.testing.assert_array_equal(
+        material.training.pictures[4:], load_folders([folder], workers=1, view='ahead')[0].pictures)
+    unnamed = foreign_folder(tmp_path / 'unnamed')
+    for changes in ({'places': (), 'data': (unnamed,)}, {'add_data': (unnamed,)},
+                    {**data, 'validation_data': unnamed}):
+        with pytest.raises(UsageError, match=r'labels.csv line 2: names no camera and no aircraft'):
+            train(options(tmp_path / 'refused.safetensors', **changes))
+
+
 @pytest.mark.parametrize(('changes', 'why'), [
     ({'images': 1, 'batch': 1}, '1 images are fewer than 2 places'),
     ({'sampler': 'halton'}, '--sampler goes with a program'),
     ({'validation_program': 'nominal'}, '--validation-program goes with a program'),
-    ({'places': (), 'data': (Path('d'),)}, '--view is for rendered scenes'),
-    ({'view': None, 'start': 'anywhere', 'places': (), 'data': (Path('d'),)},
-     '--start anywhere: sees through the virtual camera ahead, and of folders'),
     ({'view': 'behind'}, "view 'behind' is unknown; known: ahead"),
 ])
 def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so(

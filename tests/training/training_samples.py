@@ -38,14 +38,18 @@ def coloured_frame(seed: int, shape: tuple[int, ...] = IMAGE_SHAPE) -> NDArray[n
 
 
 def foreign_folder(
-    folder: Path, images: int = 6, shape: tuple[int, ...] = IMAGE_SHAPE, suffix: str = 'png'
+    folder: Path, images: int = 6, shape: tuple[int, ...] = IMAGE_SHAPE, suffix: str = 'png',
+    **same: str,
 ) -> Path:
-    """Images and ``labels.csv``, as a user brings them; image ``i`` stands ``i`` m to the left."""
+    """Images and ``labels.csv``, as a user brings them; image ``i`` stands ``i`` m to the left.
+
+    Further columns have the ``same`` value in each line.
+    """
     folder.mkdir(parents=True)
-    lines = ['image,cte_m,heading_error_deg']
+    lines = [','.join(['image,cte_m,heading_error_deg', *same])]
     for index in range(images):
         name = f'photo_{index}.{suffix}'
         cv2.imwrite(str(folder / name), coloured_frame(index, shape)[..., ::-1])
-        lines.append(f'{name},{index},{-2.5 * index}')
+        lines.append(','.join([f'{name},{index},{-2.5 * index}', *same.values()]))
     (folder / 'labels.csv').write_text('\n'.join(lines) + '\n')
     return folder

@@ -85,15 +85,21 @@ def compare(
     )
     from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
     from taxinet_ros.cli.progress import trial_bar
-    from taxinet_ros.core.perception.perception import check_perception
+    from taxinet_ros.core.perception.perception import check_perception, perception_names
     from taxinet_ros.core.world import world_word
+    from taxinet_ros.scenes.programs import known_programs
     from taxinet_ros.trials.options import LOOP, make_options, make_out
     from taxinet_ros.trials.past_runs.shared_scenes import scenes_of, scenes_of_options
     from taxinet_ros.trials.record.facts import is_campaign
 
     console = line_console(stderr=as_json)
     networks = before, after
-    named = [is_campaign(Path(word)) or word.endswith('.parquet') for word in networks]
+    # With scenes they are networks: a known word is one, also beside a folder of that name.
+    known = () if scenes is None else perception_names()
+    named = [
+        word not in known and (is_campaign(Path(word)) or word.endswith('.parquet'))
+        for word in networks
+    ]
     of_program = given_among(context, _OF_PROGRAM)
     if all(named) and scenes is None:
         if given := ['--runs'] * (runs is not None) + of_program:
@@ -116,7 +122,9 @@ def compare(
         for network in networks:
             check_perception(network)
         out = compare_folder(out, networks)
-        if not (Path(scenes).is_dir() or scenes.endswith('.parquet')):
+        if scenes in known_programs() or not (
+            Path(scenes).is_dir() or scenes.endswith('.parquet')
+        ):
             shared = scenes_of_options(make_options(
                 program=scenes, runs=100 if runs is None else runs, seed=seed or 0,
                 perception=before, settings=settings or (), specs=spec or (), bounds=bound or (),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.options import PictureOption, refuse_given
+from taxinet_ros.cli.options import PictureOption, YamlOption, refuse_given
 
 if TYPE_CHECKING:
     from taxinet_ros.core.place.place import Place
@@ -24,6 +24,7 @@ def place(
         ),
     ] = None,
     out: PictureOption = None,
+    yaml: YamlOption = None,
 ) -> None:
     """Describe a place, and draw it from above, or list all.
 
@@ -32,16 +33,18 @@ def place(
     from taxinet_ros.analysis.camera.place_map import plot_place
     from taxinet_ros.analysis.camera.sheets import DESCRIBED
     from taxinet_ros.analysis.report.text import macro_text
-    from taxinet_ros.cli.training.pictures import new_picture, write_picture
+    from taxinet_ros.cli.training.pictures import new_picture, write_document, write_picture
     from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, find_place, typed_place
 
     if name is None:
-        refuse_given(context, ('out',), 'only with a PLACE')
+        refuse_given(context, ('out', 'yaml'), 'only with a PLACE')
         for shipped in SHIPPED_PLACES:
             _print_line(find_place(shipped))
         return
     found = typed_place(name)
     path = new_picture(out, f'place-{found.name}')
+    if yaml is not None:
+        write_document(found, yaml)
     print(macro_text(DESCRIBED, 'place', p=found, deg=math.degrees, unseen=_unseen(found)))
     write_picture(path, lambda: plot_place(found, path))
     print(f'picture: {path}')
@@ -67,5 +70,5 @@ def _unseen(place: Place) -> str:
         if style not in LINES
     ]
     if others := sum(area.surface not in SURFACES for area in place.pavements):
-        words.append(f'{others} pavements of other surfaces')
+        words.append(f'{others} paved areas that are neither asphalt nor concrete')
     return ', '.join(words)

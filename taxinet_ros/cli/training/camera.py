@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from taxinet_ros.cli.checked import tell_doubts
 from taxinet_ros.cli.completion import complete_aircraft
 from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import PictureOption, RendererOption, ScenarioOption, refuse_given
+from taxinet_ros.cli.options import (
+    PictureOption,
+    RendererOption,
+    ScenarioOption,
+    YamlOption,
+    refuse_given,
+)
 from taxinet_ros.errors import UsageError
-
-if TYPE_CHECKING:
-    from taxinet_ros.core.rig.camera_model import CameraModel
 
 _AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
@@ -38,17 +39,11 @@ def show_camera(
         ),
     ] = None,
     out: PictureOption = None,
-    yaml: Annotated[
-        Path | None,
-        typer.Option(
-            '--yaml', metavar='FILE.yaml', writable=True, dir_okay=False,
-            help='also write it as a YAML file, to be changed; must be new',
-        ),
-    ] = None,
+    yaml: YamlOption = None,
 ) -> None:
     """Describe a camera, and with --out draw what it sees and where it looks, or list all."""
     from taxinet_ros.analysis.camera.rig_pictures import camera_text, draw_camera
-    from taxinet_ros.cli.training.pictures import new_picture, write_picture
+    from taxinet_ros.cli.training.pictures import new_picture, write_document, write_picture
     from taxinet_ros.core.camera.airframe import covering_doubts
     from taxinet_ros.core.motion.aircraft import checked_aircraft
     from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
@@ -63,7 +58,7 @@ def show_camera(
     on = checked_aircraft(AIRCRAFT.typed(aircraft or AIRCRAFT.default))
     path = None if out is None else new_picture(out, '')
     if yaml is not None:
-        _write_camera(found, yaml)
+        write_document(found, yaml)
     print(camera_text(found))
     if path is not None:
         write_picture(path, lambda: draw_camera(found, on, path))
@@ -121,17 +116,3 @@ def sheet(
     path = new_picture(out, 'camera-sheet')
     write_picture(path, lambda: camera_sheet(scenes, path, camera))
     print(f'sheet: {path}')
-
-
-def _write_camera(camera: CameraModel, path: Path) -> None:
-    """Write the file of a camera, with which its pictures are the same."""
-    from taxinet_ros.files.plain_values import dump_yaml
-    from taxinet_ros.trials.requirements import SUFFIXES
-
-    if path.suffix not in SUFFIXES:
-        raise UsageError(f'--yaml {path}: camera files end in .yaml; use {path.stem}.yaml')
-    try:
-        with path.open('x', encoding='utf-8') as file:
-            file.write(dump_yaml(json.loads(camera.document)))
-    except OSError as error:
-        raise UsageError(f'--yaml {path}: cannot be written: {error.strerror}') from error

@@ -1,4 +1,4 @@
-"""Pictures that commands write: their paths, errors of writing, and lists of numbers."""
+"""Pictures and documents that commands write, errors of writing, and lists of numbers."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from taxinet_ros.cli.checked import check_new_file
+from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT
+from taxinet_ros.trials.requirements import SUFFIXES
 
 SUFFIX = '.png'
 _T = TypeVar('_T')
@@ -49,6 +51,21 @@ def write_picture(path: Path, save: Callable[[], _T]) -> _T:
         return save()
     except OSError as error:
         raise UsageError(f'{path}: cannot be written: {error.strerror or error}') from error
+
+
+def write_document(document: NamedDocument, path: Path) -> None:
+    """Write the YAML file of a place or camera.
+
+    Raises:
+        UsageError: the name is not one of a YAML file, or it cannot be written.
+    """
+    if path.suffix not in SUFFIXES:
+        raise UsageError(f'--yaml {path}: such files end in .yaml; use {path.stem}.yaml')
+    try:
+        with path.open('x', encoding='utf-8') as file:
+            file.write(document.yaml)
+    except OSError as error:
+        raise UsageError(f'--yaml {path}: cannot be written: {error.strerror}') from error
 
 
 def words(text: str) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.place_file import STEEPEST_DEG, make_place
 from taxinet_ros.core.place.runway_frame import GeodeticPose, RunwayFrame
 from taxinet_ros.core.types import FOOT_M
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.reading import open_regular
 
 VERSIONS = range(1000, 1201)
@@ -122,7 +122,14 @@ def read_airport_place(path: Path, icao: str, runway: str, time_zone: str = '') 
         raise UsageError(
             f'{where}: the surface {row.surface} is neither asphalt nor concrete, and has no paint'
         )
-    return make_place(_document(airport, row, end, time_zone), Path(where))
+    document = _document(airport, row, end, time_zone)
+    code, category = _markings(row), document['runway']['category']
+    if not code or code not in _CATEGORIES:
+        warn_once(
+            f'{where}: markings of code {code}, {"unknown" if code else "none"}; the runway is '
+            f'painted as {category}'
+        )
+    return make_place(document, Path(where))
 
 
 class _Reader:
@@ -423,12 +430,16 @@ def _document(airport: _Airport, row: _RunwayRow, end: int, time_zone: str) -> d
             ],
             'width_m': row.width_m,
             'elevation_m': airport.elevation_m,
-            'category': _CATEGORIES.get(max(near.markings, far.markings), 'precision'),
+            'category': _CATEGORIES.get(_markings(row), 'precision'),
             'surface': _surface_word(row.surface),
             **({'crossings': crossings} if crossings else {}),
         },
         **{key: entries for key, entries in ground.items() if entries},
     }
+
+
+def _markings(row: _RunwayRow) -> int:
+    return max(end.markings for end in row.ends)
 
 
 def _crossing(

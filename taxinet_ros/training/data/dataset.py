@@ -198,5 +198,20 @@ def _unpacked(values: Mapping[str, Any]) -> _Labelled:
 def _shrunk(
     view: str | None, index: int, image: NDArray[np.uint8], truth: TrackingError, rig: Rig
 ) -> _Labelled:
-    picture = shrink(image) if view is None else find_eye(view, rig).see(image)
-    return picture, truth.cte_m, truth.he_rad
+    return network_picture(image, view, rig), truth.cte_m, truth.he_rad
+
+
+def network_picture(
+    image: NDArray[np.uint8], view: str | None, rig: Rig | None
+) -> NDArray[np.uint8]:
+    """What a network gets of a frame (height, width, 3) uint8 RGB: (64, 192) uint8, as in a run.
+
+    Args:
+        image: the frame.
+        view: as for :func:`make_dataset`.
+        rig: camera and aircraft; with a view they have to be known.
+    """
+    if view is None:
+        return shrink(image)
+    assert rig is not None
+    return find_eye(view, rig).see(image)

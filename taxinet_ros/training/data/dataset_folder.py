@@ -1,8 +1,9 @@
 """Datasets on disk: a folder of images of a Scenic program's scenes, with a table of labels.
 
 It contains ``images/000000.png`` and so on, ``labels.parquet`` with a row for each, and
-``dataset.json``, which is written last: a folder without it is unfinished. While it is being made,
-``progress.db`` has the options and the finished images.
+``dataset.json``, which is written last: a folder without it is unfinished. It also has the cameras
+and aircraft that the table names by their digests. While the folder is being made, ``progress.db``
+has the options and the finished images.
 
 An image is a pure function of program, seed and number, so an interrupted dataset is continued by
 rendering the missing images, with a byte-identical result. Files are written atomically and never
@@ -29,8 +30,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from taxinet_ros.core.renderer import OURS, find_renderer
+from taxinet_ros.core.rig.catalogue import find_aircraft, find_camera
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import AIRCRAFT_MODEL, CAMERA
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -45,6 +48,8 @@ from taxinet_ros.version import __version__
 IMAGES = 'images'
 LABELS = 'labels.parquet'
 FACTS = 'dataset.json'
+DOCUMENTS = 'documents'
+"""Entry there of pairs: a scenario key, and the document that a value in the table refers to."""
 
 
 def image_name(index: int) -> str:
@@ -272,8 +277,19 @@ def _complete(
     labels_sha256 = hashlib.sha256(table.getvalue()).hexdigest()
     _write_once(out / LABELS, table.getvalue())
     os.sync()  # once for all images: the next file must not survive a power loss without them
-    facts = sealed_text({**request, 'labels_sha256': labels_sha256}, {LABELS: labels_sha256})
-    _write_once(out / FACTS, facts.encode())
+    values = {**request, **_own_documents(scenes), 'labels_sha256': labels_sha256}
+    _write_once(out / FACTS, sealed_text(values, {LABELS: labels_sha256}).encode())
+
+
+def _own_documents(scenes: list[Scenario]) -> dict[str, Any]:
+    """Cameras and aircraft that are not shipped, whole, with their keys."""
+    found = {
+        (field.key, one.document) for scene in scenes
+        for field, one in ((CAMERA, find_camera(scene.camera)),
+                           (AIRCRAFT_MODEL, find_aircraft(scene.aircraft)))
+        if not one.shipped
+    }
+    return {DOCUMENTS: sorted(found)} if found else {}
 
 
 def _row(scene: Scenario, image: FinishedImage) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 The table is ``labels.parquet`` or ``labels.csv`` with the columns ``image``, ``cte_m`` (left
 positive), ``heading_error_deg`` (nose left positive) and optionally ``distance_m`` along the
 runway, from an arbitrary origin; other columns are ignored. An optional column ``sha256`` has the
-digests of the image files, which are then checked. The labels are checked when they are read,
-images when they are used. Files outside the folder are never opened.
+digests of the image files, which are then checked. For networks that see through a virtual camera,
+``camera`` and ``aircraft`` say what took each image: a name, or a YAML file in the folder. The
+labels are checked when they are read, images when they are used. Files outside the folder are never
+opened.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +27,28 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from taxinet_ros.core.perception.domain import Domain, domain_of_scenes, joined_domains
-from taxinet_ros.core.perception.network import INPUT_SHAPE, decode_picture, shrink, usual_frame
+from taxinet_ros.core.perception.network import INPUT_SHAPE, decode_picture, usual_frame
 from taxinet_ros.core.perception.weights import Source
-from taxinet_ros.core.scenario_fields import CAMERA, PLACE
+from taxinet_ros.core.rig.rig import Rig
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
+    CAMERA,
+    CAMERA_OFFSETS,
+    CATALOGUES,
+    PLACE,
+)
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.reading import open_regular
 from taxinet_ros.files.sealed_json import file_sha256, read_sealed
-from taxinet_ros.training.data.dataset import Dataset, Progress, no_progress
-from taxinet_ros.training.data.dataset_folder import FACTS, LABELS
+from taxinet_ros.training.data.dataset import Dataset, Progress, network_picture, no_progress
+from taxinet_ros.training.data.dataset_folder import DOCUMENTS, FACTS, LABELS
 from taxinet_ros.training.data.unfinished import is_begun
 
 FOREIGN_LABELS = 'labels.csv'
 COLUMNS = ('image', 'cte_m', 'heading_error_deg')
+_RIG = (CAMERA, AIRCRAFT_MODEL)
 
 _Row = tuple[int, Mapping[str, object]]
 """Number of a line or row, from 1, and its values by column name."""
@@ -53,6 +64,7 @@ class LabelledFrame:
         truth: true tracking error.
         distance_m: distance along the runway [m], from the origin of the folder.
         sha256: digest of the file that the table states, or ''.
+        rig: camera and aircraft that took it; None if it was not asked for them.
     """
 
     image: str
@@ -60,12 +72,16 @@ class LabelledFrame:
     truth: TrackingError
     distance_m: float
     sha256: str = ''
+    rig: Rig | None = None
 
     def picture(self) -> tuple[NDArray[np.uint8], str]:
-        """The image as a camera frame, (200, 360, 3) uint8 RGB, and its file's digest.
+        """The image as a camera frame, uint8 RGB, and its file's digest.
+
+        The frame is (200, 360, 3), or with a known rig as large as its camera makes it.
 
         Raises:
-            UsageError: it is damaged, too small for the network, or has changed.
+            UsageError: it is damaged, too small for the network, not of the camera's size, or has
+                changed.
         """
         try:
             data = self.path.read_bytes()
@@ -87,7 +103,16 @@ class LabelledFrame:
                 f'{self.path}: has {width}x{height} pixels, fewer than the {INPUT_SHAPE[1]}x'
                 f'{INPUT_SHAPE[0]} that the network sees; replace it or delete its row'
             )
-        return usual_frame(pixels), digest
+        if self.rig is None:
+            return usual_frame(pixels), digest
+        camera = self.rig.camera
+        if pixels.shape != camera.shape:
+            raise UsageError(
+                f'{self.path}: has {width}x{height} pixels, its camera {camera.name} '
+                f'{camera.width_px}x{camera.height_px}; name the camera that took it, with its '
+                'size_px (docs/world.md)'
+            )
+        return pixels, digest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -115,22 +140,28 @@ class ImageFolder:
             raise UsageError(f'{self.table}: row {row + 1}: {error}') from error
 
     def source(self, digests: Sequence[str]) -> Source:
-        """The folder's entry in a model card, from the digests of all images."""
+        """The folder's entry in a model card, from the digests of all images, and of the rigs."""
         whole = hashlib.sha256(self.table.read_bytes())
         for frame, digest in zip(self.frames, digests, strict=True):
             whole.update(f'{digest} {frame.image}\n'.encode())
+        for rig in dict.fromkeys(frame.rig for frame in self.frames if frame.rig is not None):
+            whole.update(f'{rig.camera.digest} {rig.aircraft.digest}\n'.encode())
         name = self.path.resolve().name or str(self.path)
         return Source(kind='folder', name=name, sha256=whole.hexdigest())
 
 
-def open_folder(path: Path) -> ImageFolder:
+def open_folder(path: Path, *, rigs: bool = False) -> ImageFolder:
     """Open a folder and check its labels; the images are read later, one by one.
+
+    Args:
+        path: path of the folder.
+        rigs: whether camera and aircraft of each image have to be known.
 
     Raises:
         UsageError: one line on the first error: file, row and correction.
     """
     table = _table(path)
-    frames, lines = [], dict[str, int]()
+    frames, lines, known = [], dict[str, int](), dict[tuple[object, ...], Rig]()
     for number, row in _rows(table):
         where = f'{table} line {number}'
         frame = _frame(path, row, where)
@@ -139,7 +170,7 @@ def open_folder(path: Path) -> ImageFolder:
             raise UsageError(
                 f'{where}: image {frame.image!r} is already in line {before}; delete one of them'
             )
-        frames.append(frame)
+        frames.append(replace(frame, rig=_rig(path, row, where, known)) if rigs else frame)
     if not frames:
         raise UsageError(f'{table}: lists no frames; write one line per frame')
     return ImageFolder(path=path, table=table, frames=tuple(frames))
@@ -165,6 +196,33 @@ def _frame(folder: Path, row: Mapping[str, object], where: str) -> LabelledFrame
     )
 
 
+def _rig(
+    folder: Path, row: Mapping[str, object], where: str, known: dict[tuple[object, ...], Rig]
+) -> Rig:
+    """Camera and aircraft of a row; each is made once."""
+    told = tuple(row.get(field.key) for field in (*_RIG, *CAMERA_OFFSETS))
+    if told not in known:
+        words: dict[str, Any] = {field.key: str(row.get(field.key) or '').strip() for field in _RIG}
+        if missing := [key for key, word in words.items() if not word]:
+            raise UsageError(
+                f'{where}: names no {" and no ".join(missing)}, which networks with a view have to '
+                f'know; add columns {" and ".join(words)}, with names or YAML files in {folder} '
+                '(docs/networks.md)'
+            )
+        for key, word in words.items():
+            if Path(word).suffix and not word.startswith('{'):
+                words[key] = _inside(folder, word, where, key)
+        offsets = {
+            field.key: _number(row, field.key, where) for field in CAMERA_OFFSETS
+            if row.get(field.key)
+        }
+        try:
+            known[told] = scenario_from_human({**words, **offsets}).rig
+        except UsageError as error:
+            raise UsageError(f'{where}: {error}') from None
+    return known[told]
+
+
 def _number(row: Mapping[str, object], column: str, where: str) -> float:
     try:
         value = float(str(row[column]))
@@ -178,8 +236,8 @@ def _number(row: Mapping[str, object], column: str, where: str) -> float:
     return value
 
 
-def _inside(folder: Path, image: str, where: str) -> Path:
-    """Path of an image, which must be inside the folder after links are resolved."""
+def _inside(folder: Path, image: str, where: str, what: str = 'image') -> Path:
+    """Path of a file, which must be inside the folder after links are resolved."""
     path = folder / image
     try:
         outside = not path.resolve().is_relative_to(folder.resolve())
@@ -188,11 +246,11 @@ def _inside(folder: Path, image: str, where: str) -> Path:
         outside, missing = False, True
     if outside:
         raise UsageError(
-            f'{where}: image {image!r} lies outside {folder}; use paths below that folder'
+            f'{where}: {what} {image!r} lies outside {folder}; use paths below that folder'
         )
     if missing:
         raise UsageError(
-            f'{where}: image {image!r} is not in {folder}; add the file or delete the line'
+            f'{where}: {what} {image!r} is not in {folder}; add the file or delete the line'
         )
     return path
 
@@ -214,27 +272,29 @@ def folders_domain(paths: Sequence[Path]) -> Domain | None:
 
 
 def load_folders(
-    paths: Sequence[Path], *, workers: int, stage: str = 'images', progress: Progress = no_progress
+    paths: Sequence[Path], *, workers: int, view: str | None = None, stage: str = 'images',
+    progress: Progress = no_progress,
 ) -> tuple[Dataset, tuple[Source, ...]]:
     """Load the pictures of one or more folders as network inputs, one folder after the other.
 
     Args:
         paths: paths of the folders.
         workers: number of reading threads; the result does not depend on it.
+        view: virtual camera through which the pictures are seen; None for the images as they are.
         stage: name of the stage for ``progress``.
         progress: called after every picture.
 
     Raises:
         UsageError: as :func:`open_folder` and :meth:`ImageFolder.picture`.
     """
-    folders = [open_folder(path) for path in paths]
+    folders = [open_folder(path, rigs=view is not None) for path in paths]
     total = sum(len(folder) for folder in folders)
     pictures = np.empty((total, *INPUT_SHAPE), np.uint8)
     sources = []
     done = 0
     for folder in folders:
         digests = []
-        for picture, digest in _shrunk(folder, workers):
+        for picture, digest in _shrunk(folder, view, workers):
             pictures[done] = picture
             digests.append(digest)
             done += 1
@@ -248,10 +308,12 @@ def load_folders(
     ), tuple(sources)
 
 
-def _shrunk(folder: ImageFolder, workers: int) -> Iterator[tuple[NDArray[np.uint8], str]]:
+def _shrunk(
+    folder: ImageFolder, view: str | None, workers: int
+) -> Iterator[tuple[NDArray[np.uint8], str]]:
     def look(row: int) -> tuple[NDArray[np.uint8], str]:
         picture, digest = folder.picture(row)
-        return shrink(picture), digest
+        return network_picture(picture, view, folder.frames[row].rig), digest
 
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -285,7 +347,10 @@ def _table(folder: Path) -> Path:
 def _check_digest(folder: Path, table: Path) -> None:
     facts = folder / FACTS
     try:
-        expected = read_sealed(facts).values['labels_sha256']
+        values = read_sealed(facts).values
+        expected = values['labels_sha256']
+        for key, document in values.get(DOCUMENTS, ()):
+            CATALOGUES[key].find(document)  # from now on its reference is known
     except (OSError, LookupError) as error:
         raise UsageError(f'{facts}: cannot be read; make the dataset again') from error
     if file_sha256(table) != expected:

@@ -80,6 +80,27 @@ def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kep
         'folder\n')
 
 
+def test_given_folders_named_like_networks_and_programs_then_words_that_are_known_win(
+    tmp_path, taxinet
+):
+    (tmp_path / 'wet.scenic').write_text(WET)
+    code, *_ = taxinet('run', 'wet.scenic', '--runs', '1', '--perception', 'truth', '--engine',
+                       'loop', '--images', 'none', '--spec', NEAR, '--out', 'taxinet')
+    assert code == 0
+    shutil.copytree(tmp_path / 'taxinet', tmp_path / 'nominal')
+    words = '--runs', '1', '--set', 'duration=1', '--workers', '1', '--out', 'out'
+    code, said, err = taxinet('compare', 'taxinet', 'truth', 'nominal', *words)
+    assert (code, err) == (0, '')
+    table = pd.read_parquet(tmp_path / 'out' / 'before.parquet')
+    assert table['program'].tolist() == ['nominal with duration_s=1']
+    assert table['perception'].tolist() == ['taxinet']
+    for names in (('./taxinet', 'truth', 'nominal'), ('taxinet', 'truth')):
+        code, _, err = taxinet('compare', *names)
+        assert (code, 'name two campaigns, or two networks and the scenes' in err) == (2, True)
+    code, said, _ = taxinet('compare', 'taxinet', 'nominal', '--out', 'both')
+    assert (code, 'Of 1 scene' in said) == (0, True)
+
+
 @pytest.mark.filterwarnings('ignore')
 def test_given_two_shipped_tables_then_they_are_paired_by_scene(tmp_path, taxinet):
     tables = [tmp_path / name / 'runs.parquet' for name in ('generic', 'specialised')]

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from taxinet_process import taxinet
 
-from taxinet_ros.core.place.catalogue import SHIPPED_PLACES
+from taxinet_ros.core.place.catalogue import SHIPPED_PLACES, typed_place
 
 APT_DAT = """\
 I
@@ -55,8 +55,36 @@ def test_given_the_same_place_when_drawn_twice_then_the_bytes_are_the_same(tmp_p
     for out in outs:
         done = taxinet(*words, out)
         assert done.returncode == 0, done.stderr
-    assert 'around it   1 pavements, 0 painted lines, 0 taxi routes' in done.stdout
+    assert (
+        'around it   1 paved areas (aprons, taxiways, other runways), 0 painted lines, 0 taxi '
+        'routes\n') in done.stdout
     assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+def test_given_an_airport_when_written_as_yaml_then_the_file_is_the_same_place(tmp_path, apt_dat):
+    path = tmp_path / 'mine.yaml'
+    done = taxinet(
+        'place', f'{apt_dat}:XTST/27', '--out', tmp_path / 'map.png', '--yaml', path)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert typed_place(str(path)) == typed_place(f'{apt_dat}:XTST/27')
+    assert '  - [1864.1, -111.21]\n' in path.read_text(), 'a point in a line'
+    path.write_text(path.read_text().replace('width_m: 30.0', 'width_m: 45'))
+    assert typed_place(str(path)).runway.width_m == 45
+    again = taxinet('place', 'nzqn_05', '--out', tmp_path / 'other.png', '--yaml', path)
+    assert (again.returncode, f'--yaml {path}: ' in again.stderr) == (2, True)
+
+
+def test_given_a_runway_without_markings_when_shown_then_one_line_says_how_it_is_painted(
+    tmp_path, apt_dat
+):
+    apt_dat.write_text(APT_DAT.replace(' 0 0 2 0 0 0 27', ' 0 0 0 0 0 0 27').replace(
+        ' 0 0 3 0 0 0', ' 0 0 0 0 0 0'))
+    done = taxinet('place', f'{apt_dat}:XTST/9', '--out', tmp_path / 'map.png')
+    assert done.returncode == 0
+    assert done.stderr == (
+        f'taxinet: warning: {apt_dat}: row 5: markings of code 0, none; the runway is painted as '
+        'visual\n')
+    assert 'paint       visual' in done.stdout
 
 
 def test_given_an_airport_when_run_there_then_the_table_says_so(tmp_path, apt_dat, monkeypatch):

@@ -16,6 +16,10 @@ import pytest
 from numpy.typing import NDArray
 from training_samples import SCENES
 
+from taxinet_ros.core.loop import Step, run_closed_loop
+from taxinet_ros.core.perception.eye import find_eye
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.rig.catalogue import CAMERAS, find_camera, load_camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.types import TrackingError
@@ -31,6 +35,15 @@ from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.photographs import photograph
 from taxinet_ros.training.data.unfinished import NAME
 from taxinet_ros.trials.doctor import examine
+
+OWN_CAMERA = """
+name: own
+offset_m: [0.5, 0.2, 0.9]
+pitch_deg: 6
+size_px: [320, 240]
+field_of_view_deg: 80
+distortion: [-0.1, 0.01, 0, 0, 0]
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -111,6 +124,34 @@ def test_given_varied_looks_when_resumed_then_seed_and_number_go_into_every_phot
     asked.clear()
     make_dataset(SCENES, workers=1, varied=True, seed=9)
     assert asked == [(index, scene, True, 9) for index, scene in enumerate(SCENES)]
+
+
+def test_given_cameras_of_any_kind_when_loaded_with_a_view_then_it_is_what_the_eye_sees_in_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'own.yaml').write_text(OWN_CAMERA)
+    own = load_camera(str(tmp_path / 'own.yaml'))
+    scenes = [
+        Scenario(camera='nose', camera_dx_m=0.2, camera_dyaw_rad=0.05),
+        Scenario(camera_dz_m=0.1, cross_track_m=3.0), Scenario(camera=own, aircraft='c172p'),
+    ]
+    monkeypatch.setattr(folder, 'draw_scenes', lambda *_, **__: scenes)
+    out = tmp_path / 'set'
+    write_dataset(options(out, count=3))
+    assert list(pd.read_parquet(out / 'labels.parquet')['camera']) == [
+        'nose', 'wing', find_camera(own).reference]
+    CAMERAS._known.clear()  # as in another process
+    CAMERAS.find.cache_clear()
+    loaded, _ = load_folders([out], workers=2, view='ahead')
+    assert len(loaded) == 3
+    for scene, picture in zip(scenes, loaded.pictures, strict=True):
+        steps = list[Step]()
+        run_closed_loop(
+            dataclasses.replace(scene, duration_s=0.1), make_perception('anywhere'), specs=[],
+            on_step=steps.append)
+        seen = find_eye('ahead', scene.rig).see(steps[0].observation.image)
+        np.testing.assert_array_equal(picture, seen)
+    assert len({picture.tobytes() for picture in loaded.pictures}) == 3
 
 
 @pytest.mark.parametrize('stop', [1, 6])

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,10 @@ import pandas as pd
 import pytest
 from training_samples import coloured_frame, foreign_folder
 
+from taxinet_ros.core.perception.eye import find_eye
 from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
+from taxinet_ros.core.rig.catalogue import load_camera
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.training.data.image_folder import load_folders, open_folder
@@ -91,6 +95,73 @@ def test_given_labels_when_read_then_units_are_si_and_order_and_signs_are_kept(t
     assert (first.truth.cte_m, first.truth.he_rad) == (-2.5, pytest.approx(np.pi / 6))
     assert (second.truth.cte_m, second.truth.he_rad) == (1.0, pytest.approx(-np.pi / 2))
     assert (first.distance_m, second.distance_m) == (7.0, 48.5)
+
+
+MINE = 'name: mine\noffset_m: [2, 0, 0.5]\nsize_px: [360, 200]\nfield_of_view_deg: {}\n'
+
+
+def test_given_folders_that_name_their_cameras_when_seen_through_a_view_then_each_has_its_own(
+    tmp_path: Path,
+) -> None:
+    wing = foreign_folder(
+        tmp_path / 'wing', images=3, camera='wing', aircraft='caravan', camera_dyaw_deg='2')
+    mine = foreign_folder(
+        tmp_path / 'mine', images=3, camera='camera.yaml', aircraft='c172p')
+    (mine / 'camera.yaml').write_text(MINE.format(70))
+    loaded, (_, before) = load_folders([wing, mine], workers=2, view='ahead')
+    assert len(loaded) == 6
+    for row, (camera, changes) in enumerate(
+        [('wing', {'camera_dyaw_rad': math.radians(2)})] * 3
+        + [(load_camera(str(mine / 'camera.yaml')), {'aircraft': 'c172p'})] * 3
+    ):
+        rig = Scenario(camera=camera, **changes).rig
+        seen = find_eye('ahead', rig).see(coloured_frame(row % 3))
+        np.testing.assert_array_equal(loaded.pictures[row], seen)
+    # Another camera of the same name is another folder to a model card; without a view none is
+    # looked at.
+    plain = load_folders([mine], workers=1)
+    (mine / 'camera.yaml').write_text(MINE.format(80))
+    other, (after,) = load_folders([mine], workers=1, view='ahead')
+    assert after.sha256 != before.sha256
+    assert not np.array_equal(other.pictures, loaded.pictures[3:])
+    (mine / 'camera.yaml').write_text('a note')
+    again = load_folders([mine], workers=1)
+    assert again[1] == plain[1]
+    assert np.array_equal(again[0].pictures, plain[0].pictures)
+
+
+@pytest.mark.parametrize(('columns', 'file', 'reason'), [
+    ({}, '', 'line 2: names no camera and no aircraft, which networks with a view have to know; '
+     'add columns camera and aircraft'),
+    ({'camera': 'wing'}, '', 'line 2: names no aircraft, which'),
+    ({'camera': '', 'aircraft': 'caravan'}, '', 'line 2: names no camera, which'),
+    ({'camera': 'GoPro', 'aircraft': 'caravan'}, '', "line 2: scenario: camera is 'GoPro', not"),
+    ({'camera': 'wing', 'aircraft': 'A320'}, '', "line 2: scenario: aircraft is 'A320', not one"),
+    ({'camera': 'mine.yaml', 'aircraft': 'caravan'}, '', "line 2: camera 'mine.yaml' is not in"),
+    ({'camera': '../mine.yaml', 'aircraft': 'caravan'}, '',
+     "line 2: camera '../mine.yaml' lies outside"),
+    ({'camera': 'wing', 'aircraft': 'caravan', 'camera_dx_m': 'far'}, '',
+     "line 2: camera_dx_m is 'far', not a finite number"),
+    ({'camera': 'camera.yaml', 'aircraft': 'caravan'}, MINE.format(200), 'field_of_view_deg'),
+    ({'camera': 'camera.yaml', 'aircraft': 'caravan'}, MINE.format(70).replace('0.5', '-3'),
+     'line 2: scenario: camera mine on aircraft caravan is'),
+    ({'camera': 'camera.yaml', 'aircraft': 'caravan'}, MINE.format(70).replace('360', '640'),
+     'row 1: {}: has 360x200 pixels, its camera mine 640x200; name the camera that took it'),
+])
+def test_given_a_folder_whose_camera_is_not_known_when_seen_through_a_view_then_one_line_says_so(
+    columns: dict[str, str], file: str, reason: str, tmp_path: Path
+) -> None:
+    folder = foreign_folder(tmp_path / 'f', images=2, **columns)
+    (tmp_path / 'mine.yaml').write_text(MINE.format(70))
+    if file:
+        (folder / 'camera.yaml').write_text(file)
+    load_folders([folder], workers=1)
+    with pytest.raises(UsageError) as caught:
+        load_folders([folder], workers=1, view='ahead')
+    message = str(caught.value)
+    assert message.startswith(str(folder / 'labels.csv'))
+    assert reason.format(folder / 'photo_0.png') in message
+    assert '\n' not in message
 
 
 def nan_in_parquet(folder: Path) -> None:
