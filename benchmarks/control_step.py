@@ -30,7 +30,7 @@ from taxinet_ros.bench.measure import Figure, Subject
 from taxinet_ros.bench.report import Ratio
 from taxinet_ros.bench.subjects import PERCEPTIONS, SCENARIO, SPEC
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, last_step, signals
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step, signals
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.motion.controller import SteeringGains, steer
 from taxinet_ros.core.perception.perception import make_perception
@@ -125,7 +125,7 @@ def tick_subject(recorded: Callable[[], Path]) -> Subject:
         stopwatch = _Stopwatch()
         aircraft, camera = Aircraft(SCENARIO), Camera(SCENARIO)
         last = last_step(SCENARIO)
-        judge = Judge([SPEC], last * CONTROL_PERIOD_NS, MAX_GAP_NS)
+        judge = Judge([SPEC], last * CONTROL_PERIOD_NS, CONTROL_PERIOD_NS)
         for seq in range(last + 1):
             stamp_ns, state = seq * CONTROL_PERIOD_NS, aircraft.state
             with stopwatch('rendering'):

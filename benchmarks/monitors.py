@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, signals
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, max_gap_ns, signals
 from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, robustness, signal_names
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
@@ -80,7 +80,7 @@ def _sample(step: int) -> dict[str, float]:
 
 def _online(name: str, spec: Spec, run: Run) -> Subject:
     def follow() -> None:
-        monitor = Monitor(spec, run[-1][0], max_gap_ns=MAX_GAP_NS)
+        monitor = Monitor(spec, run[-1][0], max_gap_ns=max_gap_ns(CONTROL_PERIOD_NS))
         for stamp_ns, sample in run:
             monitor.push(stamp_ns, sample)
 

@@ -30,7 +30,6 @@ from taxinet_ros.bag.run.resimulation import check_state, states_and_commands
 from taxinet_ros.bag.run.run_bag import node_words
 from taxinet_ros.bag.run.topics import ESTIMATE
 from taxinet_ros.bag.run.trace import CameraFrame
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.fork import (
     MOVES,
     Fork,
@@ -97,7 +96,7 @@ class Past:
         Raises:
             UsageError: there is no step at this time.
         """
-        period_s = CONTROL_PERIOD_NS / NS_PER_S
+        period_s = self.recording.period_ns / NS_PER_S
         end_s = self.last_seq * period_s
         if not 0 <= at_s <= end_s + _OFF_STEP_S:
             raise UsageError(f'fork: {at_s:g} s is not within the run, 0 to {end_s:g} s')
@@ -130,7 +129,7 @@ def read_past(recording: Recording) -> Past:
     states, commands = states_and_commands(recording)
     estimates = {}
     for _, _, message in recording.messages((ESTIMATE,)):
-        estimates[stamp_of(message) // CONTROL_PERIOD_NS] = error_of(message)
+        estimates[stamp_of(message) // recording.period_ns] = error_of(message)
     if not states:
         raise BagEmpty(f'{path}: no states, so there is nothing to repeat', path=path)
     file = mcap_path(path) if path.is_dir() else path
@@ -164,7 +163,7 @@ def fork(
 
     Args:
         run: a run, a recording of one, or the path of its bag.
-        at_s: from when it is forked [s]; a control step, every 0.1 s.
+        at_s: from when it is forked [s]; a control step.
         settings: scenario values from then on by their user-facing keys, ``{'rain_percent': 0}``,
             and gains of the steering law, ``{'steering.heading_gain': 1.2}``; ``duration_s`` is the
             length of the whole run.
@@ -209,7 +208,7 @@ def fork_past(
     gains = {name: value for name, value in settings.items() if name.startswith(_GAIN)}
     scene = {name: value for name, value in settings.items() if name not in gains}
     after = _changed(before, scene)
-    if after.duration_ns < step * CONTROL_PERIOD_NS:
+    if after.duration_ns < step * before.period_ns:
         raise UsageError(f'fork: duration_s is {after.duration_s:g}, before {at_s:g} s')
     before = dataclasses.replace(before, duration_s=after.duration_s)
     eyes, same_eyes = _perception(past, perception)
@@ -426,7 +425,7 @@ def find_rescue(
     Raises:
         UsageError: as :func:`fork`; or the run satisfies its requirements.
     """
-    facts = past.recording.facts
+    facts, period_ns = past.recording.facts, past.recording.period_ns
     if facts is None or facts.outcome != Outcome.FAIL:
         what = facts.outcome if facts is not None and facts.outcome else 'not judged'
         raise UsageError(
@@ -437,7 +436,7 @@ def find_rescue(
     def saves(step: int) -> bool:
         if step not in forks:
             forks[step] = fork_past(
-                past, at_s=step * CONTROL_PERIOD_NS / NS_PER_S, settings=settings, moved=moved,
+                past, at_s=step * period_ns / NS_PER_S, settings=settings, moved=moved,
                 perception=perception, controller=controller,
                 anywhere=step > 0,  # offsets that are possible at the start are no larger later
             )
@@ -455,12 +454,12 @@ def find_rescue(
     first = max(saved, 0) + 1
     tried = sorted({first + (last - first) * number // probes for number in range(1, probes + 1)})
     later = tuple(
-        step * CONTROL_PERIOD_NS / NS_PER_S for step in tried if step > lost and saves(step)
+        step * period_ns / NS_PER_S for step in tried if step > lost and saves(step)
     ) if lost <= last or saved < 0 else ()
     first_lost = lost if saved >= 0 else 0
     return Rescue(
         saved=forks.get(saved), later_s=later, tried=len(forks),
-        lost_s=None if saved == last else first_lost * CONTROL_PERIOD_NS / NS_PER_S,
+        lost_s=None if saved == last else first_lost * period_ns / NS_PER_S,
     )
 
 

@@ -1,4 +1,4 @@
-"""One control step of a run, 10 Hz in simulated time: what is observed, and what is monitored.
+"""One control step of a run: what is observed, and what is monitored.
 
 Whatever reads, writes or judges steps needs this, and none of the world, camera and aircraft that
 make them.
@@ -20,9 +20,7 @@ from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.errors import UsageError
 
 CONTROL_PERIOD_NS = 100_000_000
-"""Time between two control steps [ns]: the paper's 10 Hz."""
-MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
-"""Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
+"""Time between two control steps [ns] unless the scenario has another: the paper's 10 Hz."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -61,17 +59,22 @@ class Observation:
         return TrackingError(cte_m=cte_m, he_rad=he_rad)
 
 
-def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
+def max_gap_ns(period_ns: int) -> int:
+    """Maximum gap between samples [ns]; in lockstep a longer one means that a sample was lost."""
+    return period_ns * 3 // 2
+
+
+def last_step(scenario: Scenario) -> int:
     """Number of the last control step of a run; steps 0..N cover the duration, ends included.
 
     Raises:
         UsageError: the duration is not a multiple of the control period.
     """
-    steps, rest = divmod(scenario.duration_ns, period_ns)
+    steps, rest = divmod(scenario.duration_ns, scenario.period_ns)
     if rest:
         raise UsageError(
             f'scenario: duration {scenario.duration_s:g} s is not a multiple of the '
-            f'control period {period_ns / 1e9:g} s'
+            f'control period {scenario.period_ns / 1e9:g} s'
         )
     return steps
 

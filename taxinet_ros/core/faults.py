@@ -13,6 +13,7 @@ import numpy as np
 
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    CONTROL_RATE,
     LOOP_DELAY,
     LOOP_JITTER,
     PICTURE_FAULTS,
@@ -33,8 +34,10 @@ def check_free(scenario: Scenario) -> None:
     """Refuse what a free run cannot have.
 
     Raises:
-        UsageError: the scenario delays the loop, or has sensors.
+        UsageError: the scenario delays the loop, or has sensors or another control rate.
     """
+    if scenario.control_rate_hz != CONTROL_RATE.absent:
+        raise UsageError(f'{CONTROL_RATE.key}: not in a free run, whose pace is that of 10 Hz')
     if scenario.sensors != NO_SENSORS:
         raise UsageError('sensors: not in a free run, where what a step waits for is not known')
     if not {LOOP_DELAY, LOOP_JITTER}.isdisjoint(scenario.faults):

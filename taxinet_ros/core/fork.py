@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
+from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.motion.aircraft import Aircraft, Placed
 from taxinet_ros.core.motion.controller import Controller
 from taxinet_ros.core.perception.perception import Perception
@@ -105,7 +105,7 @@ class Fork:
     @property
     def at_s(self) -> float:
         """Simulated time of the step [s]."""
-        return self.step * CONTROL_PERIOD_NS / NS_PER_S
+        return self.step * self.scenario.period_ns / NS_PER_S
 
     def changes(self, before: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
         """Values before and after, in the user's units, by the scenario keys that change.

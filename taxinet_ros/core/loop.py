@@ -1,6 +1,6 @@
 """The closed loop in one process, without ROS: the bit-exact reference for the ROS graph.
 
-Each control step (10 Hz in simulated time): observe the world, estimate, compute the command,
+Each control step: observe the world, estimate, compute the command,
 evaluate the requirements on the truth, advance the world (paper, section 3.1).
 """
 
@@ -10,13 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.control_step import (
-    CONTROL_PERIOD_NS,
-    MAX_GAP_NS,
-    Observation,
-    rolling_on,
-    signals,
-)
+from taxinet_ros.core.control_step import Observation, rolling_on, signals
 from taxinet_ros.core.faults import loop_delay_ns
 from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
@@ -65,13 +59,14 @@ class LateCommands:
         self.answers = LateAnswers(rolling_on(scenario.speed_mps))
         self._scenario = scenario
         self._latencies_ns = timing.latencies_ns(seed, index)
+        self._period_ns = scenario.period_ns
 
     def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
         """Return the command in effect from step ``seq``; ``command`` is the answer to that step.
 
         Call once per step, in order.
         """
-        now_ns = seq * CONTROL_PERIOD_NS
+        now_ns = seq * self._period_ns
         delay_ns = next(self._latencies_ns) + loop_delay_ns(self._scenario, now_ns)
         self.answers.put(seq, now_ns + delay_ns, command)
         return self.answers.newest(now_ns)
@@ -114,9 +109,10 @@ def run_closed_loop(
     sensing = [part for part in (perception, controller) if part.needs_sensors]
     with closing(make_world(scenario, pictures=pictures)) as world:
         commands = LateCommands(timing, *draws, scenario)
-        horizon_ns = world.last_seq * CONTROL_PERIOD_NS
+        period_ns = scenario.period_ns
         judge = Judge(
-            specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions, scenario.line.half_width_m
+            specs, world.last_seq * period_ns, period_ns, stop_on, assumptions,
+            scenario.line.half_width_m,
         )
         clearance = Clearance(scenario)
         while True:

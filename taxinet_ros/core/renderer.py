@@ -22,7 +22,6 @@ from taxinet_ros.arguments import can_be_called
 from taxinet_ros.core.camera.camera import pose
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import scenario_light
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
@@ -224,7 +223,7 @@ class RunCamera(ForeignCode):
         Raises:
             InfraError: there is no picture.
         """
-        self._step = stamp_ns // CONTROL_PERIOD_NS
+        self._step = stamp_ns // self._scenario.period_ns
         image = self._call(lambda: self._camera.render(state, stamp_ns))
         return self._picture(image, state, stamp_ns)
 

@@ -42,6 +42,8 @@ from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CAMERA,
     CAMERA_OFFSETS,
+    CONTROL_RATE,
+    CONTROL_RATES_HZ,
     CROSS_TRACK,
     CROSSING,
     DATAREFS,
@@ -84,7 +86,8 @@ from taxinet_ros.files.pages import html_table
 from taxinet_ros.files.plain_values import load_json
 
 _WITH_SENSORS = '{"camera":'
-"""How the camera's text begins in recordings of scenes with sensors, which it carries."""
+"""How the camera's text begins in recordings of scenes with more than a camera, which it
+carries."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -148,6 +151,8 @@ class Scenario:
             :mod:`taxinet_ros.core.sensors`.
         gnss_noise_m, gnss_bias_m: of the GNSS in place of its own, 0 for its own [m].
         gnss_dropout_start_s, gnss_dropout_s: a drop-out of the GNSS beside its own [s].
+        control_rate_hz: rate of frames, estimates, commands and samples [Hz], one of
+            ``scenario_fields.CONTROL_RATES_HZ``.
         datarefs: ``none``, or values of X-Plane's datarefs as JSON, see
             :mod:`taxinet_ros.core.datarefs`.
         duration_s: length of the run [s], a multiple of the control period.
@@ -203,6 +208,7 @@ class Scenario:
     gnss_bias_m: float = 0.0
     gnss_dropout_start_s: float = 0.0
     gnss_dropout_s: float = 0.0
+    control_rate_hz: float = 10.0
     datarefs: str = NO_DATAREFS
     duration_s: float = 30.0
     place: str = DEFAULT_PLACE
@@ -224,6 +230,12 @@ class Scenario:
             if field.carrier:  # as its document has it, so that reading it back gives the same
                 value = field.from_human(field.to_human(value))
             object.__setattr__(self, field.attribute, value)
+        if self.control_rate_hz not in CONTROL_RATES_HZ:
+            raise UsageError(
+                f'scenario: control_rate_hz is {self.control_rate_hz:g}, not one of '
+                f'{", ".join(map(str, CONTROL_RATES_HZ))}: a period has to be a whole number of '
+                'physics steps, 1/120 s, and of nanoseconds'
+            )
         if not self.runway.crossings:
             object.__setattr__(self, 'crossing', False)
         if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
@@ -241,13 +253,16 @@ class Scenario:
         self._check_sensors()
 
     def _take_sensors_apart(self) -> None:
-        """Replace a recorded camera that carries sensors by both."""
+        """Replace a recorded camera that carries sensors and the control rate by all of them."""
         if not str(self.camera).startswith(_WITH_SENSORS):
             return
         try:
             carried = load_json(self.camera)
             values = {key: carried[key] for key in (CAMERA.key, SENSORS.key)}
-            values |= {field.key: carried.get(field.key, 0.0) for field in GNSS_FIELDS}
+            values |= {
+                field.key: carried.get(field.key, field.absent)
+                for field in (*GNSS_FIELDS, CONTROL_RATE)
+            }
         except (KeyError, TypeError, ValueError):
             raise UsageError(
                 f'scenario: camera is {self.camera!r:.60}, not a camera with sensors') from None
@@ -410,6 +425,11 @@ class Scenario:
         return round(self.duration_s * NS_PER_S)
 
     @property
+    def period_ns(self) -> int:
+        """Time between two control steps [ns]."""
+        return round(NS_PER_S / self.control_rate_hz)
+
+    @property
     def points(self) -> Mapping[str, Any]:
         """Its control points after the start, in human units."""
         return points_of(self.signals)
@@ -481,15 +501,18 @@ class Scenario:
     def recorded(self) -> dict[str, Any]:
         """Values by field of its message, where a text also carries what has no field.
 
-        That of the camera carries its offsets and the sensors, that of the datarefs the control
-        points.
+        That of the camera carries its offsets, the sensors and the control rate, that of the
+        datarefs the control points.
         """
         values = {field.attribute: getattr(self, field.attribute) for field in MESSAGE_FIELDS}
         if self.signals:
             values[DATAREFS.attribute] = json.dumps({**self.dataref_values, **self.points})
         camera = self.camera_model.text
-        if self.sensors != NO_SENSORS:
-            given = {one.key: value for one in GNSS_FIELDS if (value := getattr(self, one.key))}
+        given = {
+            one.key: value for one in (*GNSS_FIELDS, CONTROL_RATE)
+            if (value := getattr(self, one.key)) != one.absent
+        }
+        if self.sensors != NO_SENSORS or given:
             # Not sorted: _WITH_SENSORS is its beginning.
             camera = json.dumps(
                 {CAMERA.key: camera, SENSORS.key: self.sensors, **given}, separators=(',', ':'))

@@ -48,6 +48,9 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """Runway conditions, which set the friction; ``auto``: wet if it rains, else dry."""
 
+CONTROL_RATES_HZ = (5, 8, 10, 20, 40)
+"""Rates whose period is a whole number of physics steps, 1/120 s, and of nanoseconds."""
+
 CONSTANT, LINEAR, CUBIC = FORMS = ('constant', 'linear', 'cubic')
 """How a value goes from one control point to the next."""
 FORM = 'form'
@@ -302,7 +305,7 @@ def unusual_words(scene: Mapping[str, Any]) -> str:
         f', {field.title} {field.value_words(scene[field.key]).partition("@")[0]}'.replace('_', ' ')
         for field in (
             *PUSHING_FIELDS, *FAULT_FIELDS, TRAFFIC, *CAMERA_OFFSETS, SENSORS, *GNSS_FIELDS,
-            DATAREFS,
+            CONTROL_RATE, DATAREFS,
         )
         if scene.get(field.key) not in (None, '', field.to_human(field.absent))
     ) + ''.join(
@@ -504,6 +507,12 @@ GNSS_DROPOUT = ScenarioField(
 )
 GNSS_FIELDS = (GNSS_NOISE, GNSS_BIAS, GNSS_DROPOUT_START, GNSS_DROPOUT)
 """What a search can vary of the GNSS of ``sensors``."""
+CONTROL_RATE = ScenarioField(
+    key='control_rate_hz', short='control_rate', attribute='control_rate_hz',
+    title='control rate', unit='Hz', low=CONTROL_RATES_HZ[0], high=CONTROL_RATES_HZ[-1],
+    si_unit='Hz', absent=10.0,
+    carrier=CAMERA.attribute,
+)
 DATAREFS = ScenarioField(
     key='datarefs', attribute='datarefs', title='datarefs of X-Plane', kind=Kind.DOCUMENT,
     catalogue=DATAREF_SETS, absent=DATAREF_SETS.default,
@@ -532,7 +541,8 @@ DRAWN_FAULTS = (CAMERA_DROPOUT, LENS_DIRT, LENS_DROPS, LOOP_JITTER)
 FAULT_FIELDS = (*FAULTS, FAULT_ONSET, FAULT_SEED)
 SCENARIO_FIELDS = (
     *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, TRACK, *FAULT_FIELDS,
-    TRAFFIC, CAMERA, *CAMERA_OFFSETS, SENSORS, *GNSS_FIELDS, DATAREFS, DURATION, PLACE,
+    TRAFFIC, CAMERA, *CAMERA_OFFSETS, SENSORS, *GNSS_FIELDS, CONTROL_RATE,
+    DATAREFS, DURATION, PLACE,
 )
 MESSAGE_FIELDS = tuple(field for field in SCENARIO_FIELDS if not field.carrier)
 """Fields of the scenario message."""

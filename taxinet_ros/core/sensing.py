@@ -59,7 +59,7 @@ class Schedule:
     @property
     def fast(self) -> list[Sensor]:
         """Sensors that need states between control steps."""
-        return [one for one in self.sensors.present if one.period_ns < self.period_ns]
+        return [one for one in self.sensors.present if one.period_ns % self.period_ns]
 
     def due(self, seq: int) -> Iterator[tuple[Sensor, int]]:
         """Sensor and number of each measurement that arrives at a step, in order."""

@@ -28,7 +28,7 @@ from taxinet_ros.core.faults import SteeringFaults, shown_step
 from taxinet_ros.core.motion.aircraft import Aircraft, full_steering_rad
 from taxinet_ros.core.renderer import OURS, ChosenRenderer, ForeignCode, RunCamera, find_renderer
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import FAULTS
+from taxinet_ros.core.scenario_fields import CONTROL_RATE, FAULTS
 from taxinet_ros.core.sensing import Sensing, check_rates, sensing_of
 from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.types import AircraftState, TaxiCommand
@@ -120,16 +120,16 @@ class SimulatedWorld(World):
             camera: factory of the camera, called for the first image.
         """
         refuse_datarefs(scenario.datarefs, f'world {KMWH}')
-        self.last_seq = last_step(scenario)
+        self.last_seq, self._period_ns = last_step(scenario), scenario.period_ns
         self._aircraft = aircraft(scenario)
         self._scenario, self._pictures, self._make_camera = scenario, pictures, camera
         self._steering = SteeringFaults(
-            scenario, self._aircraft.max_steering_rad, CONTROL_PERIOD_NS
+            scenario, self._aircraft.max_steering_rad, self._period_ns
         )
         self._seq = 0
         self._track = scenario.line
         self._shown = self._aircraft.state, 0
-        self._sensing = sensing_of(scenario, CONTROL_PERIOD_NS, self._aircraft.state)
+        self._sensing = sensing_of(scenario, self._period_ns, self._aircraft.state)
         self._aircraft.traced = self._sensing is not None and self._sensing.fast
 
     @cached_property
@@ -155,14 +155,14 @@ class SimulatedWorld(World):
         self._scenario = scenario
         self.__dict__.pop('_camera', None)
         self._steering = SteeringFaults(
-            scenario, self._aircraft.max_steering_rad, CONTROL_PERIOD_NS, wheel_rad
+            scenario, self._aircraft.max_steering_rad, self._period_ns, wheel_rad
         )
-        if shown_step(scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
-            self._shown = self._aircraft.state, self._seq * CONTROL_PERIOD_NS
+        if shown_step(scenario, self._seq, self._period_ns) == self._seq:
+            self._shown = self._aircraft.state, self._seq * self._period_ns
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
-        stamp_ns = self._seq * CONTROL_PERIOD_NS
+        stamp_ns = self._seq * self._period_ns
         image = self._camera.render(*self._shown) if picture and self._pictures else None
         return Observation(
             seq=self._seq, stamp_ns=stamp_ns, state=self._aircraft.state, image=image,
@@ -172,7 +172,7 @@ class SimulatedWorld(World):
 
     def advance(self, command: TaxiCommand) -> None:
         """Integrate one control period under ``command``."""
-        stamp_ns = self._seq * CONTROL_PERIOD_NS
+        stamp_ns = self._seq * self._period_ns
         if self._scenario.signals:
             self._aircraft.follow(self._scenario, stamp_ns)
         before = self._aircraft.state
@@ -181,8 +181,8 @@ class SimulatedWorld(World):
         if self._sensing is not None:
             now = self._aircraft
             self._sensing.advance(now.states if now.traced else [before, now.state])
-        if shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
-            self._shown = self._aircraft.state, self._seq * CONTROL_PERIOD_NS
+        if shown_step(self._scenario, self._seq, self._period_ns) == self._seq:
+            self._shown = self._aircraft.state, self._seq * self._period_ns
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -368,7 +368,7 @@ class _SeenWorld(World):
     def advance(self, command: TaxiCommand) -> None:
         self._world.advance(command)
         self._seq += 1
-        if shown_step(self._scenario, self._seq, CONTROL_PERIOD_NS) == self._seq:
+        if shown_step(self._scenario, self._seq, self._scenario.period_ns) == self._seq:
             self._shown, self._frame = self._world.observe(picture=False), None
 
     def close(self) -> None:
@@ -394,6 +394,11 @@ class _PluginWorld(ForeignCode, World):
             )
         if not getattr(make, TAKES_DATAREFS, False):
             refuse_datarefs(scenario.datarefs, extension.words)
+        if scenario.period_ns != CONTROL_PERIOD_NS:
+            raise UsageError(
+                f'{extension.words}: {CONTROL_RATE.key} would have no effect, as only the world '
+                f'{KMWH} has another; leave it out'
+            )
         check_rates(scenario, CONTROL_PERIOD_NS, extension.words)
         self.last_seq = last_step(scenario)
         self._pictures = pictures

@@ -14,13 +14,7 @@ from taxinet_msgs.msg import Scenario, Timing, Verdict
 from taxinet_ros.bag.run.message_values import scenario_of, verdict_values
 from taxinet_ros.bag.run.messages import robustness_cdr
 from taxinet_ros.core.clearance import Clearance
-from taxinet_ros.core.control_step import (
-    CONTROL_PERIOD_NS,
-    MAX_GAP_NS,
-    last_step,
-    rolling_on,
-    signals,
-)
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step, rolling_on, signals
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.step_collector import FreeProgress, StepCollector
@@ -57,7 +51,7 @@ class MtlMonitor(Participant):
         self._progress = self.speak(interface.PROGRESS)
         self._specs: tuple[Spec, ...] = ()
         self._readings: tuple[Reading, ...] = ()
-        self._last_seq = -1
+        self._last_seq, self._period_ns = -1, CONTROL_PERIOD_NS
         self._stop_on = StopOn.NEVER
         for topic in _INPUTS:
             self.listen(topic, functools.partial(self._collect, topic.name))
@@ -69,10 +63,10 @@ class MtlMonitor(Participant):
         self._specs = judging.parsed_specs
         scene = scenario_of(scenario)
         self._track = scene.line
-        self._last_seq = last_step(scene)
+        self._last_seq, self._period_ns = last_step(scene), scene.period_ns
         self._stop_on = judging.stop_on
         self._judge = Judge(
-            self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
+            self._specs, self._last_seq * self._period_ns, self._period_ns, self._stop_on,
             judging.assumptions, scene.line.half_width_m,
         )
         self._clearance = Clearance(scene)
@@ -99,7 +93,7 @@ class MtlMonitor(Participant):
         of_this_run = topic == interface.ODOMETRY.name or said.run_id == self.run_id
         if not (self._specs and of_this_run):
             return
-        seq = said.stamp_ns // CONTROL_PERIOD_NS
+        seq = said.stamp_ns // self._period_ns
         whole = self._steps.add(topic, seq, said)
         for step, messages in whole:
             self._judge_step(step, messages)
@@ -119,7 +113,7 @@ class MtlMonitor(Participant):
     def _report_free(self) -> None:
         now = self._free_progress.news(self._judged) if self._free else None
         if now is not None:
-            self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
+            self._progress.publish(self.progress(now[0], now[1] * self._period_ns))
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
         odometry, truth = (messages[topic.name][0] for topic in _INPUTS[:2])

@@ -22,7 +22,6 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.run.live_bag import PATIENT_LOOKS, LiveBag, stepped_topics
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes import interface
@@ -86,6 +85,7 @@ class Recorder(Participant):
         self._images = given['images']
         self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
         self.bag: LiveBag | None = None
+        self._period_ns = 0
         # Another node may be ready before this one knows of the run.
         self._reports: deque[bytes] = deque(maxlen=_REPORTS_KEPT)
         self._looks = 0
@@ -213,9 +213,9 @@ class Recorder(Participant):
         """Say how far the bag has come."""
         for seq in written:
             if not bag.free and reports_progress(seq, bag.last_seq, bag.stop_on):
-                self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
+                self._progress.publish(self.progress(seq, seq * bag.period_ns))
         if (now := bag.news()) is not None:
-            self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
+            self._progress.publish(self.progress(now[0], now[1] * bag.period_ns))
 
     def _look(self, _: None) -> None:
         self._looks += 1
@@ -230,7 +230,7 @@ class Recorder(Participant):
                 self._rest.reset()
             return
         bag.close()
-        self.bag, self._ended = None, bag.ended
+        self.bag, self._ended, self._period_ns = None, bag.ended, bag.period_ns
         outcome = Outcome(bag.ended.outcome)
         if self._images == 'failures' and outcome in (Outcome.FAIL, Outcome.INFRA_ERROR):
             self._last_seq = bag.last_seq
@@ -242,13 +242,13 @@ class Recorder(Participant):
         """Report that the bag is complete on disk, with the recorded end of the run."""
         seq = self._ended.seq
         self.report(
-            NodeStatus.DONE, seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, detail=self._ended.outcome
+            NodeStatus.DONE, seq=seq, stamp_ns=seq * self._period_ns, detail=self._ended.outcome
         )
 
     def _on_frame(self, seq: int) -> None:
         """Tell the simulator that this node is working."""
         if reports_progress(seq, self._last_seq):
-            self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
+            self._progress.publish(self.progress(seq, seq * self._period_ns))
 
     def _on_frames(self, trouble: str) -> None:
         if trouble:

@@ -70,7 +70,7 @@ class RuntimeMonitor(Participant):
         topic = interface.ALARM
         self._alarms = self.create_publisher(topic.type, topic.name, topic.end_qos)
         self._progress = self.speak(interface.PROGRESS)
-        self._looks_on = True
+        self._looks_on, self._period_ns = True, CONTROL_PERIOD_NS
         self._frames: dict[int, NDArray[np.uint8]] = {}
         self._estimates: dict[_Key, TrackingError] = {}
         self._commands: dict[_Key, TaxiCommand] = {}
@@ -82,7 +82,7 @@ class RuntimeMonitor(Participant):
     def prepare(self, scenario: Scenario) -> None:
         """Begin a run."""
         self._scene = scenario_of(scenario)
-        self._last_seq = last_step(self._scene)
+        self._last_seq, self._period_ns = last_step(self._scene), self._scene.period_ns
         self._stop_on = Judging.from_message(scenario).stop_on
         self._monitor.begin(self._scene)
         self._restart()
@@ -130,8 +130,7 @@ class RuntimeMonitor(Participant):
 
     def _see(self, cdr: bytes) -> None:
         stamp_ns, image = frame_of_cdr(cdr)
-        seq = stamp_ns // CONTROL_PERIOD_NS
-        if not seq and self._looks_on:
+        if not stamp_ns and self._looks_on:
             # Leftovers of a run that was broken off, or of the player's turn before.
             self._frames.clear()
             self._estimates = {key: one for key, one in self._estimates.items() if not key[1]}
@@ -139,7 +138,7 @@ class RuntimeMonitor(Participant):
             if self._next and self.run_id:
                 self._monitor.begin(self._scene)
                 self._restart()
-        _keep(self._frames, seq, image)
+        _keep(self._frames, stamp_ns, image)
         self._judge()
 
     def _hear_estimate(self, said: StepMessage) -> None:
@@ -154,8 +153,9 @@ class RuntimeMonitor(Participant):
         """Judge every step that is whole."""
         while self.run_id and not self._lost:
             seq, run = self._next, self.run_id
+            stamp_ns = seq * self._period_ns
             known = (
-                seq in self._frames and (run, seq) in self._estimates
+                stamp_ns in self._frames and (run, seq) in self._estimates
                 and (not seq or (run, seq - 1) in self._commands)
             )
             if not known:
@@ -164,7 +164,7 @@ class RuntimeMonitor(Participant):
             before = self._commands.pop((run, seq - 1)) if seq else \
                 rolling_on(self._scene.speed_mps)
             seen = Seen(
-                image=self._frames.pop(seq), estimate=self._estimates.pop((run, seq)),
+                image=self._frames.pop(stamp_ns), estimate=self._estimates.pop((run, seq)),
                 command=before,
             )
             if self._alarm is None:
@@ -172,13 +172,13 @@ class RuntimeMonitor(Participant):
             self._publish(seq)
             self._next += 1
             if not self._looks_on and reports_progress(seq, self._last_seq, self._stop_on):
-                self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
+                self._progress.publish(self.progress(seq, stamp_ns))
 
     def _score(self, seen: Seen) -> None:
         scores = self._scores = self._monitor.scores(seen)
         for name, score in scores.items():
             self._largest[name] = max(self._largest.get(name, score), score)
-        self._alarm = alarm_of(scores, self._next)
+        self._alarm = alarm_of(scores, self._next, self._period_ns)
         if self._alarm is not None:
             self.get_logger().warning(f'run {self.run_id}: alarm: {self._alarm}')
 
@@ -189,7 +189,7 @@ class RuntimeMonitor(Participant):
         if alarm is not None:
             values |= {'alarm': alarm.reason, 'alarm step': str(alarm.step)}
         self._alarms.publish(DiagnosticArray(
-            header=header(seq * CONTROL_PERIOD_NS, ''),
+            header=header(seq * self._period_ns, ''),
             status=[DiagnosticStatus(
                 level=DiagnosticStatus.OK if alarm is None else DiagnosticStatus.ERROR,
                 name=f'{self.get_name()}: {self.implementation}',
@@ -202,7 +202,7 @@ class RuntimeMonitor(Participant):
         """A later message of its kind says that one is lost: each kind comes in order."""
         run = self.run_id
         kinds = (
-            ('frame', list(self._frames), self._next),
+            ('frame', [stamp // self._period_ns for stamp in self._frames], self._next),
             ('estimate', [seq for name, seq in self._estimates if name == run], self._next),
             ('command', [seq for name, seq in self._commands if name == run], self._next - 1),
         )

@@ -21,6 +21,7 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA,
     CAMERA_OFFSETS,
     CATALOGUES,
+    CONTROL_RATE,
     DISTANCE,
     DRAWN_FAULTS,
     DURATION,
@@ -63,7 +64,7 @@ _NEEDS = {
 """Values that have an effect only where one of others is not 0."""
 _ALLOWING = {
     SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01, LENS_DIRT.key: 1.0,
-    DURATION.key: DURATION.high, DISTANCE.key: 0.0,
+    DURATION.key: DURATION.high, DISTANCE.key: 0.0, CONTROL_RATE.key: CONTROL_RATE.high,
 }
 """Values that are compatible with every value of the other keys."""
 _ALLOWING_GNSS = {SENSORS.key: 'standard', GNSS_DROPOUT.key: 1.0}

@@ -21,6 +21,7 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA,
     CAMERA_OFFSETS,
     CATALOGUES,
+    CONTROL_RATE,
     DURATION,
     by_key,
 )
@@ -213,8 +214,9 @@ class SceneSource:
 
     @property
     def fixed_length(self) -> Mapping[str, str]:
-        """The duration override, if given."""
-        return {key: value for key, value in self._values.items() if key == DURATION.key}
+        """The overrides of duration and control rate, if given."""
+        keys = (DURATION.key, CONTROL_RATE.key)
+        return {key: value for key, value in self._values.items() if key in keys}
 
     @property
     def drawn_notes(self) -> tuple[str, ...]:
@@ -474,13 +476,15 @@ def first_scene(source: SceneSource) -> Scenario:
         UsageError: as :meth:`SceneSource.scene`, or its duration is no multiple of the control
             period.
     """
-    first = apply_overrides({}, source.fixed_length, source.program.name)
+    first: Scenario | None = None
     for index in range(_FIRST_SCENES):
         with contextlib.suppress(Rejected):
             first = source.scene(index)
             break
-        if source.fixed_length:
+        if DURATION.key in source.fixed_length:
             break
+    if first is None:
+        first = apply_overrides({}, source.fixed_length, source.program.name)
     last_step(first)
     return first
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.core.assurance.monitor import monitor_doubts
+from taxinet_ros.core.assurance.monitor import check_monitor_rate, monitor_doubts
 from taxinet_ros.core.assurance.switch import check_controller, parts_of
 from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.faults import check_free, unseen_faults
@@ -135,9 +135,11 @@ class CampaignOptions(System):
         again = find_world(self.world).again_words
         told = [f'{again}, so every frame is recorded'] if again and self.bags else []
         parts = None if self.standing_graph else parts_of(self.controller)
-        strange = [] if parts is None else monitor_doubts(parts.monitor, self.perception)
+        strange, scenes = list[str](), (first, *more)
+        if parts is not None:
+            check_monitor_rate(parts.monitor, scenes)
+            strange += monitor_doubts(parts.monitor, self.perception)
         strange += covering_doubts(first.aircraft_model, first.camera_model)
-        scenes = (first, *more)
         strange += network_doubts(self.perception, scenes)
         values, differing = [scene.to_human() for scene in scenes], drawn()
         return dataclasses.replace(

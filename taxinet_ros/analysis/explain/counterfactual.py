@@ -24,7 +24,6 @@ from taxinet_ros.analysis.explain.track import Estimator, Frame, Moment, misled_
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.faults import shown_step
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains
@@ -363,11 +362,11 @@ def _outcome(
     camera: Camera | RunCamera, scenario: Scenario, moment: Moment, look: Estimator,
     gains: SteeringGains,
 ) -> ChangedView:
-    step = shown_step(scenario, moment.seq, CONTROL_PERIOD_NS)
+    step = shown_step(scenario, moment.seq, scenario.period_ns)
     state = moment.state if step == moment.seq else moment.shown
     if state is None:
         raise ValueError(f'step {step}: its state is unknown')
-    image = camera.render(state, step * CONTROL_PERIOD_NS)
+    image = camera.render(state, step * scenario.period_ns)
     estimate = look(image, scenario.rig)
     return ChangedView(
         image=image, estimate=estimate, misled_rad=misled_rad(estimate, moment.truth, gains),

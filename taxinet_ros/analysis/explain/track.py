@@ -20,7 +20,6 @@ from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers, recorded_world
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.faults import shown_step
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
@@ -230,7 +229,7 @@ def choose_rows(track: Track, frames: int) -> tuple[int, ...]:
         frames: maximum number of rows; there are fewer if they would be less than a second apart.
     """
     misled = np.abs(track.misled_rad[:max(track.deciding_steps, 1)])
-    stamps_ns = track.seq * CONTROL_PERIOD_NS
+    stamps_ns = np.rint(track.t_s * NS_PER_S).astype(np.int64)
     chosen: list[int] = []
     # A stable sort: the earliest of equal ones first.
     for row in np.argsort(-np.nan_to_num(misled, nan=-1.0), kind='stable').tolist():
@@ -265,13 +264,13 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
 
     for seq, row in sorted(wanted.items()):
         state = track.states.get(seq)
-        step = shown_step(scenario, seq, CONTROL_PERIOD_NS)
+        step = shown_step(scenario, seq, scenario.period_ns)
         shown = track.states.get(step)
         image = images.get(seq)
         if image is None:
             if shown is None or world.again_words:
                 continue  # a failed run may have a step without a state, or without a frame
-            image = camera().render(shown, step * CONTROL_PERIOD_NS)
+            image = camera().render(shown, step * scenario.period_ns)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
             line=scenario.line, image=image, camera=scenario.camera_model, state=state,

@@ -32,18 +32,22 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically
 
 Picture = NDArray[np.uint8]
-FRAMES_PER_S = 10
 _GIF_EVERY = 2
 _GIF_SHRINK = 2
 _GIF_COLOURS = 150
 _SHADES = 6
 
 
-def write_mp4(frames: Iterable[Picture], path: Path) -> int:
+def write_mp4(frames: Iterable[Picture], path: Path, rate_hz: float) -> int:
     """Write frames, (H, W, 3) uint8 RGB of even size, as MPEG-4 video in real time.
 
     The codec is MPEG-4 part 2: the headless OpenCV wheels have no H.264, and VP9 takes fifty
     times as long.
+
+    Args:
+        frames: the frames.
+        path: new file.
+        rate_hz: frames per second.
 
     Returns:
         Number of frames.
@@ -51,15 +55,18 @@ def write_mp4(frames: Iterable[Picture], path: Path) -> int:
     Raises:
         OSError: it cannot be written.
     """
-    return make_atomically(path, lambda draft: _encode(frames, draft))
+    return make_atomically(path, lambda draft: _encode(frames, draft, rate_hz))
 
 
-def write_gif(frames: Iterable[Picture], path: Path, accents: Sequence[str] = ()) -> int:
+def write_gif(
+    frames: Iterable[Picture], path: Path, rate_hz: float, accents: Sequence[str] = ()
+) -> int:
     """Write every second frame at half size as an endless GIF, in real time.
 
     Args:
         frames: (H, W, 3) uint8 RGB.
         path: new file.
+        rate_hz: frames per second.
         accents: rare but important colours such as ``#0072B2`` that must not be lost.
 
     Returns:
@@ -68,14 +75,14 @@ def write_gif(frames: Iterable[Picture], path: Path, accents: Sequence[str] = ()
     Raises:
         OSError: it cannot be written.
     """
-    return make_atomically(path, lambda draft: _animate(_small(frames, accents), draft))
+    return make_atomically(path, lambda draft: _animate(_small(frames, accents), draft, rate_hz))
 
 
-def _encode(frames: Iterable[Picture], path: Path) -> int:
+def _encode(frames: Iterable[Picture], path: Path, rate_hz: float) -> int:
     source = iter(frames)
     first = next(source)
     size = (first.shape[1], first.shape[0])
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*'mp4v'), FRAMES_PER_S, size)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*'mp4v'), rate_hz, size)
     if not writer.isOpened():
         raise OSError(errno.EIO, 'OpenCV opens no MPEG-4 encoder for it')
     count = 0
@@ -97,7 +104,7 @@ def _frames_in(path: Path) -> int:
         capture.release()
 
 
-def _animate(pictures: Iterator[Image.Image], path: Path) -> int:
+def _animate(pictures: Iterator[Image.Image], path: Path, rate_hz: float) -> int:
     first = next(pictures)
     count = 1
 
@@ -109,7 +116,7 @@ def _animate(pictures: Iterator[Image.Image], path: Path) -> int:
 
     first.save(
         path, save_all=True, append_images=rest(), loop=0, optimize=False,
-        duration=1000 * _GIF_EVERY // FRAMES_PER_S,
+        duration=round(1000 * _GIF_EVERY / rate_hz),
     )
     return count
 
@@ -197,7 +204,7 @@ class _Panel:
 
 
 def film_frames(recording: Recording) -> Iterator[Picture]:
-    """The frames of a run's film, (960, 1080, 3) uint8 RGB, ten to a simulated second.
+    """The frames of a run's film, (960, 1080, 3) uint8 RGB, one for each control step.
 
     Pictures of another size, but of this shape, are filmed in the same size.
 

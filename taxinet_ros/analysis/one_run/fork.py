@@ -46,7 +46,6 @@ _SHORT_MOVES = {'cte': 'cte_m', 'heading': 'heading_deg', 'distance': 'distance_
                 'speed': 'speed_mps'}
 _MOST_POINTS = 1000
 _ROBUSTNESS_SHOWN = 12.0
-_STEP_S = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,6 +123,10 @@ def _colours(theme: Theme) -> tuple[str, str]:
 
 def _draw_frames(figure: FigureBase, theme: Theme, before: Shown, after: Shown) -> None:
     steps = sorted(before.frames.keys() | after.frames.keys())
+    times_ns = {
+        int(seq): int(t_ns) for run in (before, after)
+        for seq, t_ns in zip(run.columns['seq'], run.columns['t_ns'], strict=True)
+    }
     grid = figure.subplots(2, max(len(steps), 1), squeeze=False)
     for row, run in enumerate((before, after)):
         for column, seq in enumerate(steps):
@@ -139,7 +142,7 @@ def _draw_frames(figure: FigureBase, theme: Theme, before: Shown, after: Shown) 
             else:
                 axes.text(0.5, 0.5, 'ended', ha='center', va='center', transform=axes.transAxes)
             if row == 0:
-                axes.set_title(f'{seq * _STEP_S:.1f} s', fontsize=9)
+                axes.set_title(f'{times_ns[seq] / NS_PER_S:.1f} s', fontsize=9)
         grid[row, 0].set_ylabel(('before', 'after')[row], fontsize=9)
 
 

@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.topics import MTL_MONITOR, PERCEPTION, STEERING_CONTROLLER
+from taxinet_ros.core.types import NS_PER_S
 
 Values = NDArray[np.float64]
 
@@ -65,6 +65,7 @@ class Difference:
         replayed: replayed values, likewise.
         equal_steps: number of steps at which both are bit-identical.
         first_seq: first step at which they differ, or None.
+        first_s: its simulated time [s], or None.
         mean: mean absolute difference over the steps at which both have a value.
         greatest: greatest absolute difference; infinite if only one has a value somewhere.
     """
@@ -74,6 +75,7 @@ class Difference:
     replayed: Values
     equal_steps: int
     first_seq: int | None
+    first_s: float | None
     mean: float
     greatest: float
 
@@ -117,6 +119,7 @@ def difference(
     return Difference(
         quantity=quantity, recorded=before * quantity.scale, replayed=now * quantity.scale,
         equal_steps=int(same.sum()), first_seq=int(seqs[first[0]]) if len(first) else None,
+        first_s=float(trace['t_ns'][first[0]]) / NS_PER_S if len(first) else None,
         mean=float(away[both].mean()) if both.any() else 0.0,
         greatest=float(away.max(initial=0.0)),
     )
@@ -239,7 +242,7 @@ def _cells(one: Difference, allowed: Mapping[str, float]) -> tuple[str, ...]:
     unit = f' {one.quantity.unit}' if one.quantity.unit else ''
     most = allowed.get(one.quantity.column, 0.0)
     first = '-' if one.first_seq is None else (
-        f'step {one.first_seq} ({one.first_seq * CONTROL_PERIOD_NS / 1e9:.1f} s)'
+        f'step {one.first_seq} ({one.first_s:.1f} s)'
     )
     return (
         one.quantity.label, f'{one.mean:.3g}{unit}', f'{one.greatest:.3g}{unit}',

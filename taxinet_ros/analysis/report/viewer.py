@@ -18,7 +18,6 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.trace import Column
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
@@ -66,8 +65,8 @@ def _corners(polygon: Polygon) -> list[list[Any]]:
     return [[plain_number(x, 2), plain_number(y, 2)] for x, y in polygon]
 
 
-STEPS_APART = 5
-"""Control steps per frame on the page: two frames per second."""
+APART_NS = NS_PER_S // 2
+"""Time between frames on the page."""
 MOST_FRAMES = 120
 """Maximum number of frames; runs over a minute have them farther apart, for a small page."""
 _QUALITY = 70
@@ -103,9 +102,11 @@ def read_frames(recording: Recording) -> Frames:
         BagError: a recorded frame is damaged.
     """
     stamps_ns = [int(stamp) for stamp in recording.columns['t_ns']]
-    apart = max(STEPS_APART, math.ceil(len(stamps_ns) / MOST_FRAMES))
+    apart = max(
+        round(APART_NS / recording.period_ns), math.ceil(len(stamps_ns) / MOST_FRAMES)
+    )
     wanted = {
-        stamp // CONTROL_PERIOD_NS: row for row, stamp in enumerate(stamps_ns) if row % apart == 0
+        stamp // recording.period_ns: row for row, stamp in enumerate(stamps_ns) if row % apart == 0
     }
     files, missing = dict[int, bytes](), ''
     recorded = recording.recorded_steps

@@ -223,6 +223,7 @@ _GNSS_FEATURES = (
     _fault(fields.GNSS_DROPOUT_START, 0.1, _TIMES_S),
     _fault(fields.GNSS_DROPOUT, 0.1, _TIMES_S),
 )
+_CONTROL_RATE = _fault(fields.CONTROL_RATE, 1.0, (5.0, 10.0, 20.0, 40.0))
 _SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
 _OTHER_KINDS = tuple(
     _feature(one, form=Form.KIND)
@@ -246,7 +247,7 @@ PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING
 """The paper's six features, as columns of the table."""
 ALL_FEATURES = (
     *PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS, *PUSHING_FEATURES,
-    *FAULT_FEATURES, *_CAMERA_OFFSETS, *_GNSS_FEATURES,
+    *FAULT_FEATURES, *_CAMERA_OFFSETS, *_GNSS_FEATURES, _CONTROL_RATE,
 )
 
 

@@ -27,7 +27,6 @@ from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.topics import is_of_frames
 from taxinet_ros.bag.storage.reader import StoredMessage
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.provenance import differences, known, provenance
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -45,12 +44,14 @@ class FieldDifference:
     Attributes:
         number: number of the message on its topic, from 0.
         seq: control step of its stamp.
+        stamp_ns: the stamp [ns].
         field: dotted path in the message.
         values: display text of the value in each bag.
     """
 
     number: int
     seq: int
+    stamp_ns: int
     field: str
     values: tuple[str, str]
 
@@ -117,14 +118,15 @@ def compare_bags(
     numbers = dict.fromkeys(both, 0)
     for a, b in _pairs(bags, both):
         topic = found[a.topic.name]
-        _compare(topic, numbers[topic.topic], a, b, tolerance)
+        _compare(topic, numbers[topic.topic], a, b, tolerance, bags[0].period_ns)
         numbers[topic.topic] += 1
     return [topic for topic in found.values() if any(topic.counts)]
 
 
-def first_step(topics: Collection[TopicComparison]) -> int | None:
-    """The first control step with a difference on any topic, or None."""
-    return min((topic.first.seq for topic in topics if topic.first is not None), default=None)
+def first_difference(topics: Collection[TopicComparison]) -> FieldDifference | None:
+    """The difference at the first control step with one on any topic, or None."""
+    found = (topic.first for topic in topics if topic.first is not None)
+    return min(found, key=lambda one: one.stamp_ns, default=None)
 
 
 def _pairs(
@@ -147,7 +149,8 @@ def _pairs(
 
 
 def _compare(
-    topic: TopicComparison, number: int, a: StoredMessage, b: StoredMessage, tolerance: float
+    topic: TopicComparison, number: int, a: StoredMessage, b: StoredMessage, tolerance: float,
+    period_ns: int,
 ) -> None:
     if _meaning(a) == _meaning(b):
         return
@@ -160,8 +163,10 @@ def _compare(
     topic.differing += 1
     if topic.first is None:
         path, values, _ = beyond[0]
-        seq = a.stamp_ns // CONTROL_PERIOD_NS
-        topic.first = FieldDifference(number=number, seq=seq, field=path, values=values)
+        topic.first = FieldDifference(
+            number=number, seq=a.stamp_ns // period_ns, stamp_ns=a.stamp_ns, field=path,
+            values=values,
+        )
 
 
 def _meaning(message: StoredMessage) -> tuple[object, ...]:

@@ -38,7 +38,7 @@ from taxinet_ros.bag.run.topics import (
     is_topic,
 )
 from taxinet_ros.bag.storage.reader import StoredMessage
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, last_step
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
 from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.sensing import Schedule
@@ -64,12 +64,14 @@ class RunRecord:
         counts: number of messages by topic name and step.
         robustness: interval by step and formula name.
         wrong: invalid messages by topic name: the first, and their number.
+        period_ns: control period of the run [ns].
     """
 
     once: dict[str, list[Any]] = field(default_factory=dict)
     counts: dict[str, dict[int, int]] = field(default_factory=dict)
     robustness: dict[int, dict[str, RobustnessInterval]] = field(default_factory=dict)
     wrong: dict[str, tuple[str, int]] = field(default_factory=dict)
+    period_ns: int = CONTROL_PERIOD_NS
     _latest: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -115,7 +117,7 @@ class RunRecord:
             if len(told := self.once.setdefault(once, [])) < MOST_STEPS:
                 told.append(message)
             return
-        step = stamp // CONTROL_PERIOD_NS
+        step = stamp // self.period_ns
         if not 0 <= step <= MOST_STEPS:
             return
         steps = self.counts.setdefault(name, {})
@@ -175,12 +177,12 @@ def checked_runs(recording: Recording) -> list[CheckedRun]:
     The recording itself, with its log times, if it is as the recorder of taxinet_ros logs it.
     """
     if recording.plain or not recording.runs:
-        found = [CheckedRun('', recording, RunRecord())]
+        found = [CheckedRun('', recording, RunRecord(period_ns=recording.period_ns))]
         for stored in recording.all_messages():
             found[0].record.note(stored)
         return found
     found = [
-        CheckedRun(run.name, one, RunRecord())
+        CheckedRun(run.name, one, RunRecord(period_ns=one.period_ns))
         for run, one in zip(recording.runs, recording, strict=True)
     ]
     for number, stored in recording.messages_of_runs(whole=True):
@@ -278,7 +280,7 @@ def _sensor_troubles(
     """Steps whose measurements are not those that the scenario has arrive there."""
     if not any(f'/{one.name}' in topics for one in SENSORS.values()):
         return
-    schedule = Schedule(scenario_of(record.scenario), CONTROL_PERIOD_NS)
+    schedule = Schedule(scenario_of(record.scenario), record.period_ns)
     for sensor in schedule.sensors.names:
         name = SENSORS[sensor].name
         topic = f'/{name}'
@@ -355,8 +357,8 @@ def _judge(record: RunRecord) -> Judge:
     """The judge of the recorded run, before its first sample."""
     scene, judging = scenario_of(record.scenario), Judging.from_message(record.scenario)
     return Judge(
-        judging.parsed_specs, last_step(scene) * CONTROL_PERIOD_NS, MAX_GAP_NS, judging.stop_on,
-        judging.assumptions, scene.line.half_width_m,
+        judging.parsed_specs, last_step(scene) * scene.period_ns, scene.period_ns,
+        judging.stop_on, judging.assumptions, scene.line.half_width_m,
     )
 
 
@@ -365,7 +367,7 @@ def _whole(samples: RunSamples, most: int) -> RunSamples:
     count = next((
         step for step, (stamp_ns, there) in enumerate(
             zip(samples.stamps_ns, samples.there, strict=True))
-        if stamp_ns != step * CONTROL_PERIOD_NS or not there.issuperset(_KEPT)
+        if stamp_ns != step * samples.period_ns or not there.issuperset(_KEPT)
     ), len(samples.stamps_ns))
     count = max(min(count, most), 0)
     return replace(

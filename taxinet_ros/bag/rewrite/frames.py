@@ -22,7 +22,6 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder
 
@@ -45,7 +44,7 @@ def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
     """Yield control step and serialised frame: recorded or, if missing, rendered."""
     frames = _Frames(recording)
     for message in recording.whole_messages((IMAGE, CAMERA_INFO).__contains__):
-        seq = message.stamp_ns // CONTROL_PERIOD_NS
+        seq = message.stamp_ns // recording.period_ns
         cdr = message.cdr if message.topic.name == IMAGE else frames.missing(message)
         if cdr is not None:
             yield seq, cdr
@@ -72,7 +71,7 @@ def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) 
         image = next(topic for topic in topics if topic.name == IMAGE)
         with copy_of(info, folder, topics, min_free_bytes) as bag:
             for stamp_ns in written_steps(bag, _with_frames(recording, image)):
-                yield stamp_ns // CONTROL_PERIOD_NS
+                yield stamp_ns // recording.period_ns
     except WorldDiffers:
         shutil.rmtree(folder)  # It would look like an unfinished recording.
         raise
@@ -105,6 +104,7 @@ class _Frames:
 
     def __init__(self, recording: Recording) -> None:
         self.recorded = recording.recorded_steps
+        self._period_ns = recording.period_ns
         self._states = recording.observations(lambda seq: seq not in self.recorded)
 
     def missing(self, camera_info: StoredMessage) -> bytes | None:
@@ -112,7 +112,7 @@ class _Frames:
 
         A failed run may have a step without the aircraft's state.
         """
-        seq = camera_info.stamp_ns // CONTROL_PERIOD_NS
+        seq = camera_info.stamp_ns // self._period_ns
         if seq in self.recorded:
             return None
         for now in self._states:

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.description import words_beside
-from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.message_values import scenario_of
@@ -24,6 +24,7 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
 )
 from taxinet_ros.bag.writer import FORK_METADATA, FREE_RUN_METADATA, RUN_METADATA
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import is_steering_law, parse_gains
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
@@ -107,6 +108,16 @@ def _head(recording: Recording) -> tuple[Any, dict[str, Any]]:
         else:
             reports.setdefault(str(getattr(message, 'node', '')), message)
     return scenario, reports
+
+
+def recorded_period_ns(recording: Recording) -> int:
+    """See :attr:`.recording.Recording.period_ns`."""
+    try:
+        return next((
+            scenario_of(message).period_ns for _, _, message in recording.messages((SCENARIO,))
+        ), CONTROL_PERIOD_NS)
+    except (BagError, AttributeError, TypeError, ValueError, UsageError):
+        return CONTROL_PERIOD_NS
 
 
 def _request(message: Any) -> RunRequest:

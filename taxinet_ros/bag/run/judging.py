@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.bag.run.samples import RecordedReading, RunSamples, same_bits
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS
+from taxinet_ros.core.control_step import max_gap_ns
 from taxinet_ros.core.mtl import (
     Assumptions,
     Monitor,
@@ -98,7 +98,8 @@ def judge_spec(
     vouched = samples.assumptions if assumptions is None else assumptions
     samples = samples.seen_by(spec)
     monitor = Monitor(
-        spec, samples.duration_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
+        spec, samples.duration_ns, vouched.bounds, vouched.rates,
+        max_gap_ns=max_gap_ns(samples.period_ns),
     )
     readings = _readings(samples, monitor)
     alike = vouched == samples.assumptions or readings[-1].final
@@ -165,7 +166,7 @@ def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:
 
 def _why_unclear(samples: RunSamples, spec: Spec) -> str:
     try:
-        check_windows(spec, samples.duration_ns, CONTROL_PERIOD_NS)
+        check_windows(spec, samples.duration_ns, samples.period_ns)
     except UsageError as error:
         return str(error)
     return ''

@@ -19,7 +19,7 @@ from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED, topic_info
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA
 from taxinet_ros.core import topics
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step
+from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.step_collector import FreeProgress, Step, StepCollector
 from taxinet_ros.core.pacing.timing import is_free
@@ -68,7 +68,7 @@ class LiveBag(BegunBag):
     ) -> None:
         """Start the bag as :class:`.BegunBag`; ``scenario_cdr`` is the serialised ``scenario``."""
         scene = scenario_of(scenario)
-        self.last_seq = last_step(scene)
+        self.last_seq, self.period_ns = last_step(scene), scene.period_ns
         self.stop_on = parse_stop_on(scenario.stop_on)
         self.written = 0
         self.free = False
@@ -78,7 +78,7 @@ class LiveBag(BegunBag):
             topic.name: len(scenario.specs) if topic.recorded == topics.PER_SPEC else 1
             for topic in self._stepped if topic.recorded != topics.PER_SAMPLE
         }
-        self._schedule = Schedule(scene, CONTROL_PERIOD_NS)
+        self._schedule = Schedule(scene, self.period_ns)
         sensors = scene.sensor_set.names
         self._sensed = {topics.SENSORS[name].name for name in sensors}
         self._transform_of = OdometryTransforms()
@@ -132,9 +132,9 @@ class LiveBag(BegunBag):
         return []
 
     def _take_step(self, topic: Topic, cdr: bytes) -> list[int]:
-        seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
+        seq, off_ns = divmod(stamp_of_cdr(cdr), self.period_ns)
         if off_ns:
-            what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is not a control step'
+            what = f'stamped {seq * self.period_ns + off_ns} ns, which is not a control step'
             raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
         self._progress.arrived(topic.name, seq)
         return self._add(topic, seq, cdr)
@@ -227,7 +227,7 @@ class LiveBag(BegunBag):
                 self._write_head()
             for seq, messages in [*self._held, *self.steps.torn()]:
                 self._write_step(seq, messages)
-        stamp_ns = self.ended.seq * CONTROL_PERIOD_NS
+        stamp_ns = self.ended.seq * self.period_ns
         if self._verdict is not None:
             self._write(topics.VERDICT, self._verdict, stamp_ns)
         self._write(topics.RUN_STATUS, self._ended_cdr, stamp_ns)
@@ -262,7 +262,7 @@ class LiveBag(BegunBag):
         return seqs
 
     def _write_step(self, seq: int, messages: Mapping[str, list[bytes]]) -> None:
-        stamp_ns = seq * CONTROL_PERIOD_NS
+        stamp_ns = seq * self.period_ns
         for topic in self._stepped:
             for cdr in messages.get(topic.name, ()):
                 self._write(topic, cdr, stamp_ns)

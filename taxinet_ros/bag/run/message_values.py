@@ -17,6 +17,7 @@ from taxinet_ros.core.place.catalogue import find_track
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
+    CONTROL_RATE,
     GNSS_FIELDS,
     MESSAGE_FIELDS,
     PLACE,
@@ -193,9 +194,11 @@ def sample_of(
 def scenario_json(message: Any) -> bytes:
     """Attachment ``scenario.json`` of a run's bag: the request in user-facing units."""
     scene = scenario_of(message)
-    left_out = _OF_SENSORS if scene.sensors == SENSORS.absent else ()
+    left_out = _OF_SENSORS if scene.sensors == SENSORS.absent else []
+    if scene.control_rate_hz == CONTROL_RATE.absent:
+        left_out = [*left_out, CONTROL_RATE.key]
     values = {
-        # That of a run without sensors is as it was before there were any.
+        # That of a run without sensors, at the usual rate, is as it was before there were others.
         **{key: value for key, value in scene.to_human().items() if key not in left_out},
         'run_id': message.run_id,
         'index': message.index,

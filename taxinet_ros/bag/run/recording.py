@@ -363,6 +363,13 @@ class Recording(Sequence['Recording']):
         return self.run.request.scenario
 
     @cached_property
+    def period_ns(self) -> int:
+        """Control period of the run [ns]; the usual one where its scenario is not readable."""
+        from taxinet_ros.bag.run.facts import recorded_period_ns
+
+        return recorded_period_ns(self)
+
+    @cached_property
     def facts(self) -> RunFacts | None:
         """Recorded facts of the run, skipping damage; None if it is not a run of taxinet_ros.
 

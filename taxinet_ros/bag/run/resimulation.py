@@ -15,7 +15,7 @@ from taxinet_ros.bag.errors import BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.run.facts import RecordedRun, free_account
 from taxinet_ros.bag.run.message_values import command_of, stamp_of
 from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation, rolling_on
+from taxinet_ros.core.control_step import Observation, rolling_on
 from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
 from taxinet_ros.core.world import ChosenWorld, closing, find_world
@@ -114,7 +114,7 @@ def states_and_commands(
     recording.check_damage()
     for topic, _, message in recording.messages((ODOMETRY, COMMAND)):
         try:
-            seq = stamp_of(message) // CONTROL_PERIOD_NS
+            seq = stamp_of(message) // recording.period_ns
             if topic == ODOMETRY:
                 states[seq] = _odometry_numbers(message)
             else:

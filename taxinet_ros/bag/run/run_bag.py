@@ -43,7 +43,7 @@ from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
 from taxinet_ros.core import topics
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation
+from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.loop import Step
 from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw, gains_text
 from taxinet_ros.core.mtl import Spec
@@ -284,6 +284,7 @@ class RunBag(BegunBag):
         self._run_id = request.run_id
         self._specs = request.judging.parsed_specs
         self._camera = request.scenario.camera_model
+        self._period_ns = request.scenario.period_ns
         self._steps = 0
         sensors = request.scenario.sensor_set.names
         scenario_cdr = message_cdr(
@@ -352,8 +353,9 @@ class RunBag(BegunBag):
             BagWriteError: an error of the operating system.
         """
         seq = max(seq, 0)
-        for topic, cdr in _end(self._run_id, self._specs, seq, judgement, ending):
-            self._write(topic, cdr, seq * CONTROL_PERIOD_NS)
+        stamp_ns = seq * self._period_ns
+        for topic, cdr in _end(self._run_id, self._specs, seq, stamp_ns, judgement, ending):
+            self._write(topic, cdr, stamp_ns)
         if fork:
             self._writer.add_metadata(FORK_METADATA, {'fork': fork})
         self._writer.add_metadata(OUTCOME_METADATA, outcome_words(ending, self._steps))
@@ -423,9 +425,10 @@ def _ready(
 
 
 def _end(
-    run_id: str, specs: Sequence[Spec], seq: int, judgement: Judgement | None, ending: RunEnding
+    run_id: str, specs: Sequence[Spec], seq: int, stamp_ns: int, judgement: Judgement | None,
+    ending: RunEnding,
 ) -> Iterator[Said]:
-    header = header_values(seq * CONTROL_PERIOD_NS)
+    header = header_values(stamp_ns)
     if judgement is not None:
         readings = [
             {'header': header, **reading_values(spec, reading, run_id, seq)}

@@ -69,6 +69,7 @@ class RunSamples:
     Attributes:
         run: name of the run if the bag has several, else ''.
         duration_ns: requested length of the run [ns].
+        period_ns: its control period [ns].
         specs: formulas of the run, as text.
         assumptions: assumptions of the run.
         stamps_ns: stamps of the control steps, ascending [ns].
@@ -97,6 +98,7 @@ class RunSamples:
     there: tuple[frozenset[str], ...]
     note: str = ''
     timing: str = ''
+    period_ns: int = CONTROL_PERIOD_NS
     flaws: Mapping[str, str] = field(default_factory=dict)
 
     def seen_by(self, spec: Spec) -> RunSamples:
@@ -199,7 +201,8 @@ def _of_run(
     duration_ns = round(float(scenario.duration_s) * NS_PER_S)
     clearance = clearance_in(scenario) if not OF_OTHERS.isdisjoint(names) else None
     commands, track = HeldCommand(scenario, free=is_free(timing)), track_of(scenario)
-    watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
+    period_ns = recording.period_ns
+    watch = EstimateWatch(duration_ns, period_ns)
     samples = []
     for stamp, present in zip(stamps, there, strict=True):
         truth, odometry, estimate, command = (
@@ -221,10 +224,12 @@ def _of_run(
         recorded=_readings(verdict.specs if verdict else told[ROBUSTNESS]),
         stopped_early=bool(getattr(verdict, 'stopped_early', False)),
         unusable_estimates=int(getattr(verdict, 'unusable_estimates', 0)),
-        trouble=trouble, there=there, timing=timing,
+        trouble=trouble, there=there, timing=timing, period_ns=period_ns,
         note='' if clearance is None or clearance.anybody else (
             'nobody is on the ground, so nothing could violate a formula about others'),
-        flaws=_partial({topic: steps[topic] for topic in topics if topic not in answers})
+        flaws=_partial({
+            topic: steps[topic] for topic in topics if topic not in answers
+        }, period_ns)
         | flaws | ({ODOMETRY: unclear} if unclear else {}),
     )
 
@@ -248,7 +253,7 @@ def _disorder(topic: str, messages: Iterable[Any]) -> tuple[str, str] | None:
     return None
 
 
-def _partial(steps: Mapping[str, Mapping[int, Any]]) -> dict[str, str]:
+def _partial(steps: Mapping[str, Mapping[int, Any]], period_ns: int) -> dict[str, str]:
     """One line per topic that is missing, begins late, or ends a step or more too early."""
     first_ns, last_ns = min(steps[TRUTH], default=0), max(steps[TRUTH], default=-1)
     found = {}
@@ -257,7 +262,7 @@ def _partial(steps: Mapping[str, Mapping[int, Any]]) -> dict[str, str]:
             found[topic] = f'{topic}: no messages, so formulas that read it are not evaluated'
         elif min(messages, default=0) > first_ns:
             found[topic] = f'{topic}: begins at {min(messages) / NS_PER_S:g} s'
-        elif max(messages, default=last_ns) < last_ns - CONTROL_PERIOD_NS:
+        elif max(messages, default=last_ns) < last_ns - period_ns:
             found[topic] = (
                 f'{topic}: ends at {max(messages) / NS_PER_S:g} s, '
                 f'the run at {last_ns / NS_PER_S:g} s'

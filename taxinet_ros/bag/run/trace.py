@@ -30,7 +30,6 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     is_topic,
 )
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import TRAFFIC
 from taxinet_ros.core.trace import CLEARANCE_COLUMN, SIGMA_COLUMNS, STEP_UNITS
@@ -107,7 +106,7 @@ def camera_frames(
     there = recorded_steps(recording)
     if any(wanted(seq) for seq in there):
         for stamp_ns, image in _recorded_images(recording):
-            if wanted(seq := stamp_ns // CONTROL_PERIOD_NS):
+            if wanted(seq := stamp_ns // recording.period_ns):
                 yield CameraFrame(seq, stamp_ns, image, recorded=True)
     if render and any(wanted(seq) and seq not in there for seq in _steps_of(recording, TRUTH)):
         for now in render(lambda seq: wanted(seq) and seq not in there):
@@ -120,7 +119,7 @@ def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
     for stored in recording.one.info.messages:
         if is_topic(stored.topic.name, relative):
             try:
-                yield stamp_of_cdr(stored.cdr) // CONTROL_PERIOD_NS
+                yield stamp_of_cdr(stored.cdr) // recording.period_ns
             except BagCorrupt as error:
                 text = f'{recording.path}: topic {stored.topic.name}: {error}'
                 raise BagCorrupt(text, path=recording.path) from error

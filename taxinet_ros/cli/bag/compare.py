@@ -62,15 +62,13 @@ def print_comparison(
 ) -> None:
     """Print one line per differing topic, and a summary."""
     from taxinet_ros.analysis.report.text import macro_text
-    from taxinet_ros.bag.check.compare import first_step
-    from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+    from taxinet_ros.bag.check.compare import first_difference
 
     differing = [topic for topic in topics if not topic.equal]
-    step = first_step(differing) if differing else None
+    first = first_difference(differing)
     console.print(macro_text(
         Path(__file__).with_suffix('.j2'), 'compared', topics=topics, differing=differing,
-        messages=sum(max(topic.counts) for topic in topics), tolerance=tolerance, step=step,
-        at_s=(step or 0) * CONTROL_PERIOD_NS / 1e9,
+        messages=sum(max(topic.counts) for topic in topics), tolerance=tolerance, first=first,
     ))
 
 

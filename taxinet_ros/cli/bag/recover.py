@@ -65,13 +65,12 @@ def _steps(bag: Path) -> Iterator[str]:
     """Lines on how much of each run the new bag holds."""
     from taxinet_ros.bag.check.lockstep import checked_runs
     from taxinet_ros.bag.run.recording import open_recording
-    from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
     from taxinet_ros.core.types import NS_PER_S
 
     for name, recording, record in checked_runs(open_recording(bag)):
         fact = recording.facts
         if fact is not None:
-            planned = round(fact.scene['duration_s'] * NS_PER_S) // CONTROL_PERIOD_NS + 1
+            planned = round(fact.scene['duration_s'] * NS_PER_S) // recording.period_ns + 1
             ended = f', ended as {fact.outcome}' if fact.outcome else ''
             of = f'{name}: ' if name else ''
             yield f'{of}{record.whole_steps()} whole control steps of {planned} planned{ended}'

@@ -12,7 +12,6 @@ from taxinet_ros.bag.run.resimulation import recorded_world
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL, print_comparison
 from taxinet_ros.cli.bag.input import warn_of_stacks
 from taxinet_ros.cli.show import line_console
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -102,7 +101,7 @@ def run_again(
     new = out / run.request.run_id
     row = RunRow.of_run(
         run.request, result, perception=word, bag=new.name,
-        sim_s=max(result.last_seq, 0) * CONTROL_PERIOD_NS / 1e9,
+        sim_s=max(result.last_seq, 0) * run.request.scenario.period_ns / 1e9,
     )
     console.print(row_line(row))
     if result.outcome is Outcome.INTERRUPTED:

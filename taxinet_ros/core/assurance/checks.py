@@ -32,7 +32,9 @@ from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CONTROL_RATE
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.errors import UsageError
 
 UNFAMILIAR: Final = 'unfamiliar'
 INCONSISTENT: Final = 'inconsistent'
@@ -90,6 +92,20 @@ _NEAR = np.abs(_ASIDE_M) <= _NEAR_M
 _GREY = np.full(3, 1 / 3)
 _LEAST_SEEN = 6
 """Distances at which an offset must be visible to be judged."""
+
+
+def check_usual_rate(scenario: Scenario, who: str) -> None:
+    """Refuse another control rate than the usual one, as scores are over a number of steps.
+
+    Raises:
+        UsageError: the scenario has another.
+    """
+    if scenario.period_ns != CONTROL_PERIOD_NS:
+        raise UsageError(
+            f'{who}: not with {CONTROL_RATE.key}={scenario.control_rate_hz:g}, as it judges over a '
+            f'number of steps at {CONTROL_RATE.absent:g} Hz; leave one out, or take a monitor '
+            'FILE.py:NAME'
+        )
 
 
 def features(image: NDArray[np.uint8]) -> Vector:

@@ -20,7 +20,7 @@ import io
 import json
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -39,6 +39,7 @@ from taxinet_ros.core.assurance.checks import (
     Moves,
     Reprojection,
     Usual,
+    check_usual_rate,
     features,
 )
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
@@ -264,6 +265,7 @@ class RawChecks:
         self, fitted: Fitted, scenario: Scenario, perceptions: Sequence[Perception]
     ) -> None:
         """Begin a run; the perceptions are those for :class:`.Moves`."""
+        check_usual_rate(scenario, 'monitor')
         self._fitted = fitted
         self._consistency, self._reprojection = Consistency(), Reprojection(scenario)
         self._moves = Moves(scenario, perceptions)
@@ -347,6 +349,7 @@ class SigmaMonitor(RuntimeMonitor):
 
     def begin(self, scenario: Scenario) -> None:
         """Reset."""
+        check_usual_rate(scenario, f'monitor {self.word}')
         self._recent.clear()
 
     def scores(self, seen: Seen) -> Mapping[str, float]:
@@ -465,6 +468,16 @@ def monitor_doubts(word: str, perception: str) -> list[str]:
     calibration, _ = read_calibration(_calibration_path(word))
     sha256 = check_perception(perception, graph=True)
     return calibration.doubts(word, perception, sha256) if sha256 else []
+
+
+def check_monitor_rate(word: str, scenes: Iterable[Scenario]) -> None:
+    """Refuse a shipped or calibrated monitor in scenes with another control rate than the usual.
+
+    Raises:
+        UsageError: there is such a scene.
+    """
+    for scene in () if names_user_code(word) else scenes:
+        check_usual_rate(scene, f'--monitor {word}')
 
 
 def _calibration_path(word: str) -> Path:

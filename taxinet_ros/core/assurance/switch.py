@@ -123,16 +123,18 @@ class Alarm:
         step: control step.
         reason: name of the check.
         score: its score over its threshold.
+        period_ns: control period [ns].
     """
 
     step: int
     reason: str
     score: float
+    period_ns: int = CONTROL_PERIOD_NS
 
     @property
     def at_s(self) -> float:
         """Simulated time [s]."""
-        return self.step * CONTROL_PERIOD_NS / NS_PER_S
+        return self.step * self.period_ns / NS_PER_S
 
     def __str__(self) -> str:
         return f'{self.reason} at {self.at_s:.1f} s ({self.score:.2f} times its threshold)'
@@ -179,12 +181,13 @@ class Assured(Controller):
         self.alarm: Alarm | None = None
         self._image: NDArray[np.uint8] | None = None
         self._last = STOP
-        self._step = 0
+        self._step, self._period_ns = 0, CONTROL_PERIOD_NS
 
     def begin(self, scenario: Scenario | None = None) -> None:
         """Reset every part."""
         scenario = scenario or Scenario()
         self.alarm, self._image, self._step = None, None, 0
+        self._period_ns = scenario.period_ns
         self._last = rolling_on(scenario.speed_mps)
         self._inner.begin(scenario)
         self._monitor.begin(scenario)
@@ -224,7 +227,7 @@ class Assured(Controller):
             scores = self._monitor.scores(
                 Seen(image=image, estimate=estimate, command=self._last)
             )
-            self.alarm = alarm_of(scores, self._step)
+            self.alarm = alarm_of(scores, self._step, self._period_ns)
         if self.alarm is not None and self._second is not None:
             estimate = self._second.estimate(image, None)
         command = self._inner.command(estimate)
@@ -237,10 +240,13 @@ class Assured(Controller):
         return command
 
 
-def alarm_of(scores: Mapping[str, float], step: int) -> Alarm | None:
+def alarm_of(
+    scores: Mapping[str, float], step: int, period_ns: int = CONTROL_PERIOD_NS
+) -> Alarm | None:
     """The alarm of the largest score of a control step; None if that is below 1."""
     reason = max(scores, key=lambda name: scores[name])
-    return Alarm(step=step, reason=reason, score=scores[reason]) if scores[reason] >= 1 else None
+    alarm = Alarm(step=step, reason=reason, score=scores[reason], period_ns=period_ns)
+    return alarm if alarm.score >= 1 else None
 
 
 def _digest(*parts: str) -> str:

@@ -277,28 +277,23 @@ class Aircraft:
     traced = False
 
     def __init__(
-        self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
-        model: AircraftModel | None = None, runway: Runway | None = None,
-        placed: Placed | None = None,
+        self, scenario: Scenario, *, model: AircraftModel | None = None,
+        runway: Runway | None = None, placed: Placed | None = None,
     ) -> None:
         """Load a model and place it on the runway.
 
         Args:
-            scenario: start pose and aircraft model.
-            period_ns: control period [ns], a whole number of physics steps.
+            scenario: start pose, aircraft model and control rate.
             model: replaces the scenario's model.
             runway: replaces the scenario's runway.
             placed: replaces the scenario's start pose and speed.
 
         Raises:
-            ValueError: ``period_ns`` is not a positive whole number of physics steps.
             InfraError: JSBSim cannot load or start the model.
             UsageError: the model is incomplete and cannot be measured.
         """
-        self._steps, rest = divmod(period_ns * PHYSICS_HZ, NS_PER_S)
-        if self._steps < 1 or rest:
-            raise ValueError(f'period {period_ns} ns is no whole number of {PHYSICS_HZ} Hz steps')
-        self._period_s = period_ns / NS_PER_S
+        self._steps = scenario.period_ns * PHYSICS_HZ // NS_PER_S
+        self._period_s = scenario.period_ns / NS_PER_S
         self._step = -1
         self._frame = runway_frame(runway or scenario.runway)
         own, self.model = model is None, model or scenario.aircraft_model

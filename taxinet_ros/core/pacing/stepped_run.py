@@ -108,7 +108,8 @@ def subnormal(value: TrackingError | TaxiCommand) -> str:
 
 
 def check_answer(
-    who: str, newest: int, *, seq: int, stamp_ns: int, value: TrackingError | TaxiCommand
+    who: str, newest: int, *, seq: int, stamp_ns: int, value: TrackingError | TaxiCommand,
+    period_ns: int = CONTROL_PERIOD_NS,
 ) -> None:
     """Check that an answer refers to a published frame, with numbers that can have been meant.
 
@@ -120,6 +121,7 @@ def check_answer(
         seq: number of the frame that is answered.
         stamp_ns: simulated time in the answer [ns].
         value: the answer.
+        period_ns: control period [ns].
 
     Raises:
         InfraError: it refers to a future frame, its stamp and frame number disagree, or a number
@@ -128,7 +130,7 @@ def check_answer(
     if seq > newest:
         detail = f'answered frame {seq}, which is not out yet'
         raise InfraError(InfraKind.PROTOCOL, who, newest, detail)
-    if stamp_ns != seq * CONTROL_PERIOD_NS:
+    if stamp_ns != seq * period_ns:
         detail = f'its answer to frame {seq} is stamped {stamp_ns / 1e9:g} s'
         raise InfraError(InfraKind.PROTOCOL, who, newest, detail)
     if detail := subnormal(value):
@@ -152,6 +154,7 @@ class SteppedRun:
         self, graph: LiveGraph, lockstep: Lockstep, *, participants: Sequence[str],
         first: TaxiCommand, late: Callable[[int, TaxiCommand], TaxiCommand],
         answer_timeout_s: float, ready_timeout_s: float, clock: Callable[[], float],
+        period_ns: int = CONTROL_PERIOD_NS,
     ) -> None:
         """Begin to wait for the participants.
 
@@ -164,6 +167,7 @@ class SteppedRun:
             answer_timeout_s: silence of a node that ends the run [s].
             ready_timeout_s: time for all nodes to get ready [s].
             clock: steady wall clock [s].
+            period_ns: control period [ns].
         """
         self.lockstep = lockstep
         self.free = lockstep if isinstance(lockstep, FreeRun) else None
@@ -173,7 +177,7 @@ class SteppedRun:
         self.allowed: int | None = None
         self._graph, self._participants, self._late = graph, tuple(participants), late
         self._answer_timeout_s, self._ready_timeout_s = answer_timeout_s, ready_timeout_s
-        self._clock = clock
+        self._clock, self._period_ns = clock, period_ns
         self._command: TaxiCommand | None = None
         self._first = self._held = first
         self._suspect: tuple[InfraError, float] | None = None
@@ -195,7 +199,7 @@ class SteppedRun:
         Raises:
             InfraError: as :func:`check_answer`; or its covariance is none.
         """
-        check_answer(PERCEPTION, self.lockstep.seq, seq=seq, stamp_ns=stamp_ns, value=value)
+        self._check_answer(PERCEPTION, seq, stamp_ns, value)
         if flaw := value.covariance_flaw:
             raise InfraError(InfraKind.PROTOCOL, PERCEPTION, seq, f'estimated a {flaw}')
         if self.lockstep.answer(PERCEPTION, seq, self._clock()):
@@ -211,7 +215,7 @@ class SteppedRun:
             return
         who = STEERING_CONTROLLER
         try:
-            check_answer(who, self.lockstep.seq, seq=seq, stamp_ns=stamp_ns, value=value)
+            self._check_answer(who, seq, stamp_ns, value)
         except InfraError as error:
             # It may repeat an error of the perception, whose estimate has then not arrived yet.
             self._suspect = self._suspect or (error, self._clock())
@@ -236,7 +240,7 @@ class SteppedRun:
         if seq > self.lockstep.seq:
             detail = f'has come to frame {seq}, which is not out yet'
             raise InfraError(InfraKind.PROTOCOL, node, self.lockstep.seq, detail)
-        self.lockstep.progress(node, seq, stamp_ns // CONTROL_PERIOD_NS, self._clock())
+        self.lockstep.progress(node, seq, stamp_ns // self._period_ns, self._clock())
         self._heard()
         self._go_on()
 
@@ -386,6 +390,14 @@ class SteppedRun:
     def _paused(self) -> bool:
         """Whether nothing but a pause keeps the run from its next step."""
         return self.allowed == 0 and self.lockstep.may_advance and self._command is not None
+
+    def _check_answer(
+        self, who: str, seq: int, stamp_ns: int, value: TrackingError | TaxiCommand
+    ) -> None:
+        check_answer(
+            who, self.lockstep.seq, seq=seq, stamp_ns=stamp_ns, value=value,
+            period_ns=self._period_ns,
+        )
 
     def _heard(self) -> None:
         self.heard_s = self._clock()

@@ -92,15 +92,21 @@ def parse_substitution(text: str) -> Substitution:
     if not 0 < amount <= _AMOUNTS[kind]:
         most = f'{_AMOUNTS[kind]:g} {unit}'
         raise UsageError(f'--with {text}: needs an amount above 0 up to {most}, as in {kind}:0.5')
-    steps = amount / _STEP_S
-    if kind != _NOISY and abs(steps - round(steps)) > 1e-6:
-        raise UsageError(f'--with {text}: a delay has to be a multiple of {_STEP_S:g} s')
+    if kind != _NOISY:
+        _check_delay(text, amount, _STEP_S)
     # The text form has six digits; round the amount so that both are equal.
     return Substitution(kind=kind, amount=float(f'{amount:g}'))
 
 
+def _check_delay(text: str, delay_s: float, period_s: float) -> None:
+    steps = delay_s / period_s
+    if abs(steps - round(steps)) > 1e-6:
+        raise UsageError(f'--with {text}: a delay has to be a multiple of {period_s:g} s')
+
+
 def substituted(
-    substitution: Substitution, network: Perception, seed: Sequence[int]
+    substitution: Substitution, network: Perception, seed: Sequence[int],
+    period_ns: int = CONTROL_PERIOD_NS,
 ) -> Perception:
     """Create the perception for one run.
 
@@ -108,7 +114,12 @@ def substituted(
         substitution: replacement of the network's estimate.
         network: the perception whose failure is analysed.
         seed: seed of the noise; equal seeds give equal noise.
+        period_ns: control period of the run [ns].
+
+    Raises:
+        UsageError: a delay is not a whole number of control steps.
     """
+    period_s = period_ns / NS_PER_S
     kind, amount = substitution.kind, substitution.amount
     if kind == AS_RECORDED:
         return network
@@ -117,8 +128,8 @@ def substituted(
     if kind in (TRUTH_HEADING, TRUTH_CTE):
         return HalfTruth(network, cte=kind == TRUTH_CTE)
     if kind == _NOISY:
-        return NoisyTruth(amount, seed)
-    return Delayed(network if kind == _DELAYED else GroundTruth(), amount)
+        return NoisyTruth(amount, seed, period_s)
+    return Delayed(network if kind == _DELAYED else GroundTruth(), amount, period_s)
 
 
 class HalfTruth(Perception):
@@ -155,13 +166,16 @@ class HalfTruth(Perception):
 class Delayed(Perception):
     """Delayed estimates of another perception; its first estimate until the delay has passed."""
 
-    def __init__(self, perception: Perception, delay_s: float) -> None:
-        """``delay_s``: delay [s], a whole number of control steps."""
+    def __init__(self, perception: Perception, delay_s: float, period_s: float = _STEP_S) -> None:
+        """``delay_s``: delay [s], a whole number of control steps, each ``period_s`` [s]."""
+        _check_delay(f'delayed:{delay_s:g}', delay_s, period_s)
         self.word = f'{perception.word} {delay_s:g} s ago'
         self.fingerprint = perception.fingerprint
         self.needs_image, self.needs_sensors = perception.needs_image, perception.needs_sensors
         self._perception = perception
-        self._estimates: deque[TrackingError] = deque(maxlen=round(delay_s / _STEP_S) + 1)
+        self._estimates: deque[TrackingError] = deque(
+            maxlen=round(delay_s / period_s) + 1
+        )
 
     def begin(self, rig: Rig | None = None) -> None:
         """Reset the perception and clear the buffer."""
@@ -191,12 +205,18 @@ class NoisyTruth(Perception):
     fingerprint = ''
     needs_image = False
 
-    def __init__(self, sigma_m: float, seed: Sequence[int]) -> None:
-        """``sigma_m``: standard deviation [m]; ``seed``: seed of the noise, integers >= 0."""
+    def __init__(self, sigma_m: float, seed: Sequence[int], period_s: float = _STEP_S) -> None:
+        """Draw the first error.
+
+        Args:
+            sigma_m: standard deviation [m].
+            seed: seed of the noise, integers >= 0.
+            period_s: control period [s].
+        """
         self.word = f'truth with noise of {sigma_m:g} m'
         self._random = np.random.default_rng(seed)
         self._sigma_m = sigma_m
-        self._keep = math.exp(-_STEP_S / NOISE_TIME_S)
+        self._keep = math.exp(-period_s / NOISE_TIME_S)
         self._error_m = sigma_m * self._random.standard_normal()
 
     def estimate(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, max_gap_ns
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
@@ -69,7 +69,7 @@ def check_specs(
             runway of another width.
     """
     for spec in specs:
-        check_windows(spec, scenario.duration_ns, CONTROL_PERIOD_NS)
+        check_windows(spec, scenario.duration_ns, scenario.period_ns)
         check_edge(spec, scenario.line.half_width_m)
     return describe_specs(specs, scenario.duration_s, gains, scenario)
 
@@ -123,7 +123,7 @@ def describe_specs(
     """Like :func:`check_specs`, for finished runs: windows are not checked."""
     setting = Setting(
         units=SIGNALS, ranges=signal_ranges(duration_s, gains, scenario),
-        horizon_ns=round(duration_s * NS_PER_S), period_ns=CONTROL_PERIOD_NS,
+        horizon_ns=round(duration_s * NS_PER_S), period_ns=_period_ns(scenario),
     )
     return SpecCheck(
         lines=tuple(spec_line(spec, setting) for spec in specs),
@@ -144,7 +144,8 @@ def signal_ranges(
             to where the controller does not take it, so motion is then unbounded.
     """
     ranges: dict[str, Range] = {
-        'he': (-math.pi, math.pi), 'estimate_gap': (0.0, duration_s + CONTROL_PERIOD_NS / NS_PER_S),
+        'he': (-math.pi, math.pi),
+        'estimate_gap': (0.0, duration_s + _period_ns(scenario) / NS_PER_S),
         'unusable_share': (0.0, 1.0), 'cte_sigma': (0.0, math.inf), 'he_sigma': (0.0, math.inf),
         'clearance': (0.0, MOST_CLEARANCE_M), 'collision': (0.0, 1.0),
     }
@@ -162,6 +163,10 @@ def signal_ranges(
     ranges['x'] = -way_m, ahead_m + way_m
     ranges['speed'] = -fastest_mps, fastest_mps
     return ranges
+
+
+def _period_ns(scenario: Scenario | None) -> int:
+    return CONTROL_PERIOD_NS if scenario is None else scenario.period_ns
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -188,7 +193,7 @@ class Judge:
     """Judges one run, sample by sample."""
 
     def __init__(
-        self, specs: Sequence[Spec], horizon_ns: int, max_gap_ns: int,
+        self, specs: Sequence[Spec], horizon_ns: int, period_ns: int,
         stop_on: StopOn = StopOn.NEVER, assumptions: Assumptions = NO_ASSUMPTIONS,
         half_width_m: float = KMWH_HALF_WIDTH_M,
     ) -> None:
@@ -197,7 +202,8 @@ class Judge:
         Args:
             specs: formulas to evaluate; the first is the headline.
             horizon_ns: last stamp of the run [ns].
-            max_gap_ns: maximum time between samples [ns]; a longer gap invalidates the run.
+            period_ns: time between samples [ns]; a longer gap (:func:`.max_gap_ns`) invalidates
+                the run.
             stop_on: rule that ends the run before its horizon.
             assumptions: assumptions of the user.
             half_width_m: half the width of the runway or track [m].
@@ -211,7 +217,8 @@ class Judge:
             check_edge(spec, half_width_m)
         self._monitors = [
             Monitor(
-                spec, horizon_ns, assumptions.bounds, assumptions.rates, max_gap_ns=max_gap_ns
+                spec, horizon_ns, assumptions.bounds, assumptions.rates,
+                max_gap_ns=max_gap_ns(period_ns),
             ) for spec in specs
         ]
         self._readings: tuple[Reading, ...] = ()
@@ -220,7 +227,7 @@ class Judge:
         self._collector = RunStatisticsCollector(half_width_m)
         read = {name for spec in specs for name in signal_names(spec.formula)}
         watched = not read.isdisjoint(EstimateWatch.NAMES)
-        self._watch = EstimateWatch(horizon_ns, CONTROL_PERIOD_NS) if watched else None
+        self._watch = EstimateWatch(horizon_ns, period_ns) if watched else None
 
     def push(self, stamp_ns: int, sample: Mapping[str, float]) -> tuple[Reading, ...]:
         """Add the signals at ``stamp_ns``; return one reading per formula.

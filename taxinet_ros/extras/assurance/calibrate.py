@@ -26,6 +26,7 @@ from taxinet_ros.core.assurance.checks import (
     Kinematics,
     Moves,
     Usual,
+    check_usual_rate,
     features,
     fit_usual,
 )
@@ -222,6 +223,7 @@ def _start_worker(word: str) -> None:
 
 def _usual_run(scene: Scenario) -> UsualRun | None:
     """Make a run and see what is usual in it; None if it is not satisfied."""
+    check_usual_rate(scene, 'calibration')
     perception, *others = _worker[-1]
     moves, consistency = Moves(scene, others), Consistency()
     pictures, deviations, responses = [], [], []

@@ -194,6 +194,7 @@ class Beside:
         if self._monitor is not None:
             self._monitor.begin(scene)
         self._before, self._half_width_m = rolling_on(scene.speed_mps), scene.line.half_width_m
+        self._period_ns = scene.period_ns
         self._times_s: list[float] = []
         self._cte_m: list[float] = []
         self._off_s = math.nan
@@ -218,7 +219,7 @@ class Beside:
         )
         self._before = step.command
         if self._alarm is None:
-            self._alarm = alarm_of(scores, now.seq)
+            self._alarm = alarm_of(scores, now.seq, self._period_ns)
         raised = np.isnan(self._alarms_s) & (max(scores.values()) >= np.array(FACTORS))
         self._alarms_s[raised] = time_s
 

@@ -29,6 +29,7 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING
 from taxinet_ros.core.mtl.interval import lower_column, upper_column
+from taxinet_ros.core.scenario_fields import CONTROL_RATE
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -258,10 +259,15 @@ def samples_of(recording: Recording, spec: str) -> Iterator[Sample]:
     """Control steps of a recorded run, from the first one on.
 
     Raises:
-        UsageError: the run has no such requirement, or a step is missing.
+        UsageError: the run has no such requirement or another control rate, or a step is missing.
         BagError: it cannot be read.
     """
     columns, path = recording.columns, recording.path
+    if recording.period_ns != CONTROL_PERIOD_NS:
+        raise UsageError(
+            f'{path}: its {CONTROL_RATE.key} is {NS_PER_S / recording.period_ns:g}, a forecast '
+            f'needs the usual {CONTROL_RATE.absent:g}'
+        )
     names = ('cte_m', 'he_rad', 'distance_m', 'est_cte_m', lower_column(spec), upper_column(spec))
     for name in names[4:]:
         if name not in columns:

@@ -32,7 +32,6 @@ from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.run.topics import CAMERA_FRAME
 from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.assurance.switch import make_controller
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains, gains_text
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.step_collector import StepCollector
@@ -247,7 +246,7 @@ def play_pictures(
         judging=DEFAULT_JUDGING, participants=(interface.PERCEPTION,),
     )
     steps = (
-        (seq, {interface.IMAGE.name: [image_cdr(one, seq * CONTROL_PERIOD_NS, CAMERA_FRAME)]})
+        (seq, {interface.IMAGE.name: [image_cdr(one, seq * scene.period_ns, CAMERA_FRAME)]})
         for seq, one in enumerate(pictures)
     )
     words = node_command(word, interface.PERCEPTION) or []
@@ -318,7 +317,7 @@ def _steps(recording: Recording, inputs: tuple[Topic, ...]) -> Iterator[Step]:
         return
     names = {bag_name(topic): topic.name for topic in inputs}
     messages = recording.whole_messages(names.__contains__)
-    for seq, group in groupby(messages, lambda message: message.stamp_ns // CONTROL_PERIOD_NS):
+    for seq, group in groupby(messages, lambda message: message.stamp_ns // recording.period_ns):
         step: dict[str, list[bytes]] = {}
         for message in group:
             step.setdefault(names[message.topic.name], []).append(message.cdr)

@@ -16,6 +16,8 @@ from rclpy.qos import qos_profile_action_status_default
 from rclpy.task import Future
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
+from taxinet_ros.bag.run.message_values import stamp_of
+from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.node_process import NodeProcess
@@ -110,7 +112,7 @@ class RunWatch:
         self._node, self._say, self._on_silent = node, say, on_silent
         self.run_id = ''
         self.running = self.asked = False
-        self.seq = 0
+        self.seq = self._now_ns = 0
         self.outcomes: collections.Counter[str] = collections.Counter()
         action, messages = interface.RUN_SCENARIO, interface.RUN_SCENARIO_TYPE.Impl
         runs, deaths = interface.RUN_STATUS, interface.OBITUARY
@@ -131,7 +133,9 @@ class RunWatch:
         if name == interface.SIMULATOR:
             self.asked = False
         if self.run_id:
-            self._death_notices.publish(death_notice(self.run_id, name, detail, seq=self.seq))
+            self._death_notices.publish(death_notice(
+                self.run_id, name, detail, seq=self.seq, stamp_ns=self._now_ns
+            ))
 
     def interrupt(self) -> bool:
         """End the current run as INTERRUPTED, whoever requested it; False if there is none.
@@ -149,6 +153,7 @@ class RunWatch:
         # rclpy does not say who sent it: beside a player it is a run that is played back.
         elif set(publisher_names(self._node, interface.RUN_STATUS)) <= {interface.SIMULATOR}:
             self.run_id, self.seq = status.run_id, status.seq
+            self._now_ns = stamp_of(status)
             self.running = status.state == RunStatus.RUNNING
 
     def _end(self, status: RunStatus) -> None:
@@ -173,6 +178,7 @@ class RunWatch:
     def _on_feedback(self, message: Any) -> None:
         if self.run_id:
             self.seq = message.feedback.seq
+            self._now_ns = round(message.feedback.elapsed * NS_PER_S)
 
 
 class Supervisor(Node):

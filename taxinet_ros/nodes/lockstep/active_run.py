@@ -106,7 +106,7 @@ class ActiveRun(LiveGraph):
             first=rolling_on(scenario.speed_mps),
             late=LateCommands(timing, message.seed, message.index, scenario).at,
             answer_timeout_s=node.answer_timeout_s, ready_timeout_s=node.ready_timeout_s,
-            clock=time.monotonic,
+            clock=time.monotonic, period_ns=scenario.period_ns,
         )
         self.listens: dict[str, set[str]] = {}
         self.ready: dict[str, NodeStatus] = {}
@@ -130,6 +130,11 @@ class ActiveRun(LiveGraph):
         """Current control step."""
         return max(self.steps.lockstep.seq, 0)
 
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time of the current control step [ns]."""
+        return self.seq * self.scenario.period_ns
+
     def listeners(self, topic: topics.Topic) -> set[str]:
         """Nodes that subscribe to a topic, as participants declare for themselves or for others.
 
@@ -145,7 +150,7 @@ class ActiveRun(LiveGraph):
     def status(self, state: int, **what: Any) -> RunStatus:
         """Status message of this run at its current step."""
         return RunStatus(
-            header=header(self.seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state,
+            header=header(self.stamp_ns), run_id=self.run_id, state=state,
             seq=self.seq, **self.perception, **what,
         )
 
@@ -157,7 +162,7 @@ class ActiveRun(LiveGraph):
 
     def feedback(self) -> RunScenario.Feedback:
         """Progress of the run."""
-        return RunScenario.Feedback(seq=self.seq, elapsed=self.seq * CONTROL_PERIOD_NS / 1e9)
+        return RunScenario.Feedback(seq=self.seq, elapsed=self.stamp_ns / 1e9)
 
     def prepare(self) -> None:
         """Have all nodes get ready."""
@@ -241,7 +246,7 @@ class ActiveRun(LiveGraph):
     def settle(self, unestimated: Sequence[int], uncommanded: Sequence[int]) -> None:
         """Publish which earlier frames of a free run get no answer."""
         self._node.say(interface.TIMING, TimingMessage(
-            header=header(self.seq * CONTROL_PERIOD_NS, ''), run_id=self.run_id, seq=self.seq,
+            header=header(self.stamp_ns, ''), run_id=self.run_id, seq=self.seq,
             unestimated=unestimated, uncommanded=uncommanded,
         ))
 
@@ -252,7 +257,7 @@ class ActiveRun(LiveGraph):
     def announce(self, ending: Ending) -> None:
         """Say how the run ended."""
         if self.steps.free is not None:
-            self.account = account_message(self.steps.free, self.run_id)
+            self.account = account_message(self.steps.free, self.run_id, self.stamp_ns)
             self._node.say(interface.TIMING, self.account)
         self._node.say(interface.RUN_STATUS, self._ended(ending))
 
@@ -342,8 +347,9 @@ class RunHealth:
     def look(self, run: ActiveRun | None) -> Health:
         """Health since the last look, with the current run, if any."""
         rate, frames = self.frames.look('frame')
+        period_ns = CONTROL_PERIOD_NS if run is None else run.scenario.period_ns
         values: dict[str, object] = {
-            'step rate [1/s]': rate, 'real-time factor': rate * CONTROL_PERIOD_NS / NS_PER_S,
+            'step rate [1/s]': rate, 'real-time factor': rate * period_ns / NS_PER_S,
             **frames, 'runs ended': self._ended.total(),
             **{f'runs {outcome}': count for outcome, count in sorted(self._ended.items())},
         }

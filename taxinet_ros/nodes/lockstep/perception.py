@@ -34,7 +34,7 @@ class PerceptionNode(Participant, abc.ABC):
         """Choose the perception; a network never gets the truth, nor truth the image."""
         super().__init__(interface.PERCEPTION, **node)
         self._perception = self.choose()
-        self._expected = WING.shape
+        self._expected, self._period_ns = WING.shape, CONTROL_PERIOD_NS
         refuse_unknown(self)
         self.implementation = self._perception.word
         self.fingerprint = self._perception.fingerprint
@@ -50,7 +50,7 @@ class PerceptionNode(Participant, abc.ABC):
         """Reset from the previous run."""
         scene = scenario_of(scenario)
         self._perception.begin(scene.rig)
-        self._expected = scene.rig.camera.shape
+        self._expected, self._period_ns = scene.rig.camera.shape, scene.period_ns
         if self._senses is not None:
             self._senses.begin(scene)
 
@@ -77,12 +77,12 @@ class PerceptionNode(Participant, abc.ABC):
         if self._senses is None:
             self._answer(given, None)
         else:
-            self._senses.take(stamp_ns // CONTROL_PERIOD_NS, given)
+            self._senses.take(stamp_ns // self._period_ns, given)
 
     def _answer(self, given: tuple[_Seen, str, int], measured: Measured | None) -> None:
         seen, run_id, stamp_ns = given
         if measured is not None:
             self._perception.sense(measured)
         estimate = self._perception.estimate(*seen)
-        seq = stamp_ns // CONTROL_PERIOD_NS
+        seq = stamp_ns // self._period_ns
         self._estimates.publish(error_cdr(estimate, run_id, seq, stamp_ns))

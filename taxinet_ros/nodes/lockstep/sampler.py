@@ -14,7 +14,7 @@ from rclpy.action.client import ClientGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
-from taxinet_msgs.msg import Verdict
+from taxinet_msgs.msg import NodeStatus, Verdict
 
 from taxinet_ros.bag.run.message_values import account_of
 from taxinet_ros.core.mtl import RobustnessInterval
@@ -115,8 +115,7 @@ class ScenarioSampler(Node):
         if node == interface.SIMULATOR:
             self._lose_simulator(InfraKind.DIED, detail)
         else:
-            notice = death_notice(self._request.run_id, node, detail, seq=self.seq)
-            self._death_notices.publish(notice)
+            self._death_notices.publish(self._death_notice(node, detail, InfraKind.DIED))
 
     def _lose_simulator(self, kind: str, detail: str) -> None:
         """End the run on behalf of the simulator."""
@@ -124,10 +123,16 @@ class ScenarioSampler(Node):
         assert self._answer is not None
         if kind == InfraKind.DIED:
             self._dead |= self._asked_of
-        self._death_notices.publish(death_notice(
-            self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
-        ))
+        self._death_notices.publish(self._death_notice(interface.SIMULATOR, detail, kind))
         self._answer.set_result(RunResult.infra_error(kind, interface.SIMULATOR, detail, self.seq))
+
+    def _death_notice(self, node: str, detail: str, kind: str) -> NodeStatus:
+        asked = self._request
+        assert asked is not None
+        return death_notice(
+            asked.run_id, node, detail, kind=kind, seq=self.seq,
+            stamp_ns=self.seq * asked.scenario.period_ns,
+        )
 
     def close(self) -> None:
         """Leave the graph; all results have been taken."""

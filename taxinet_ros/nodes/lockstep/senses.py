@@ -9,7 +9,6 @@ from typing import Any
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.message_values import stamp_of
 from taxinet_ros.bag.run.topics import topic_info
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.pacing.step_collector import StepCollector
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.sensing import Schedule, measured_of
@@ -33,7 +32,7 @@ class Senses:
                 sensors.
         """
         self._answer = answer
-        self._schedule = Schedule(Scenario(), CONTROL_PERIOD_NS)
+        self._schedule = Schedule(Scenario(), Scenario().period_ns)
         self._steps = StepCollector({_STEP: 1})
         self._decode = {
             topic.name: decoder(topic_info(topic)) for topic in SENSORS.values()
@@ -43,7 +42,7 @@ class Senses:
 
     def begin(self, scenario: Scenario) -> None:
         """Start a run."""
-        self._schedule = Schedule(scenario, CONTROL_PERIOD_NS)
+        self._schedule = Schedule(scenario, scenario.period_ns)
         self.clear()
 
     def clear(self) -> None:

@@ -16,7 +16,6 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
 from taxinet_ros.bag.run.message_values import reading_values, scenario_values
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
@@ -83,12 +82,11 @@ def _sigma_figures(verdict: taxinet.Verdict, name: str) -> dict[str, float]:
     return {figure: math.nan if math.isnan(one) else one for figure, one in values.items()}
 
 
-def account_message(free: FreeRun, run_id: str) -> TimingMessage:
+def account_message(free: FreeRun, run_id: str, stamp_ns: int) -> TimingMessage:
     """Message with the account of a free run, at its end."""
     account = free.account
-    seq = max(free.seq, 0)
     return TimingMessage(
-        header=header(seq * CONTROL_PERIOD_NS, ''), run_id=run_id, seq=seq, ended=True,
+        header=header(stamp_ns, ''), run_id=run_id, seq=max(free.seq, 0), ended=True,
         applied=account.applied, frame_time=account.frame_s, estimate_time=account.estimate_s,
         command_time=account.command_s, estimate_seq=account.estimate_seq,
         command_seq=account.command_seq, overruns=account.overruns, stale=account.stale,
@@ -116,13 +114,14 @@ def same_ready(one: NodeStatus, other: NodeStatus) -> bool:
 
 
 def death_notice(
-    run_id: str, name: str, detail: str, *, kind: str = InfraKind.DIED, seq: int = 0
+    run_id: str, name: str, detail: str, *, kind: str = InfraKind.DIED, seq: int = 0,
+    stamp_ns: int = 0,
 ) -> NodeStatus:
     """Message that reports a dead node, or one that timed out, to a run, which then ends."""
     state = next(state for state, known in _KINDS.items() if known == kind)
     return NodeStatus(
-        header=header(seq * CONTROL_PERIOD_NS, ''), run_id=run_id, node=name, state=state,
-        seq=seq, detail=detail,
+        header=header(stamp_ns, ''), run_id=run_id, node=name, state=state, seq=seq,
+        detail=detail,
     )
 
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.scenario import Scenario
@@ -81,7 +80,7 @@ def run_request(
 
 def finished_row(options: CampaignOptions, request: RunRequest, result: RunResult) -> RunRow:
     """The row of a run that the graph has answered."""
-    sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
+    sim_s = max(result.last_seq, 0) * request.scenario.period_ns / NS_PER_S
     perception = options.perception
     if not perception or is_node_elsewhere(perception):
         perception = result.perception or perception

@@ -14,7 +14,6 @@ import taxinet_ros as tx
 from taxinet_ros.analysis.report.values import data_block
 from taxinet_ros.analysis.report.viewer import (
     MOST_FRAMES,
-    STEPS_APART,
     RunView,
     ground_shapes,
     read_frames,
@@ -69,7 +68,7 @@ def test_given_a_bag_when_viewed_then_its_facts_are_in_words(view: RunView) -> N
 def test_given_a_bag_without_frames_when_viewed_then_every_fifth_is_rendered(view: RunView) -> None:
     frames = view.frames
     assert frames.missing == ''
-    assert frames.steps == tuple(range(0, len(view.t_s), STEPS_APART))
+    assert frames.steps == tuple(range(0, len(view.t_s), 5))
     (wanted,) = (frame.image for frame in open_recording(BAG).frames(lambda seq: seq == 10))
     with Image.open(io.BytesIO(frames.files[2])) as image:
         shown = np.asarray(image.convert('RGB')).astype(float)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, MAX_GAP_NS, signals
+from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, signals
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import SHIPPED, Verdict, parse_spec
@@ -244,7 +244,7 @@ def test_t17_given_a_window_that_begins_where_the_run_ends_then_it_can_be_evalua
 def test_t17_given_an_infinite_rho_when_judged_all_the_same_then_it_is_no_verdict(
     text: str, stop_on: StopOn
 ) -> None:
-    judge = Judge([parse_spec(text)], 3 * NS_PER_S, MAX_GAP_NS, stop_on)
+    judge = Judge([parse_spec(text)], 3 * NS_PER_S, CONTROL_PERIOD_NS, stop_on)
     for step in range(31):
         (reading,) = judge.push(step * CONTROL_PERIOD_NS, sample(0.0))
         assert not judge.stopped_early
@@ -310,7 +310,7 @@ def test_ros10_given_a_perception_that_goes_blind_then_usable_fails_where_phi_pa
 def test_ros10_given_unusable_frames_then_their_longest_gap_and_their_share_count(
     frames: range, verdict: Verdict
 ) -> None:
-    judge = Judge([SHIPPED['usable']], 12 * NS_PER_S, MAX_GAP_NS)
+    judge = Judge([SHIPPED['usable']], 12 * NS_PER_S, CONTROL_PERIOD_NS)
     for step in range(121):
         (reading,) = judge.push(step * CONTROL_PERIOD_NS, sample(0.0, valid=step not in frames))
     gap_s = max((1 + b - a for a, b in runs_of(frames)), default=0) * 0.1
@@ -326,7 +326,7 @@ def runs_of(frames: range) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize('huge', [1e308, -1e308, 1.7e308])
 def test_ros15_given_huge_estimates_when_judged_then_every_figure_is_finite(huge: float) -> None:
-    judge = Judge([SHIPPED['phi_always']], 3 * NS_PER_S, MAX_GAP_NS)
+    judge = Judge([SHIPPED['phi_always']], 3 * NS_PER_S, CONTROL_PERIOD_NS)
     for step in range(31):
         judge.push(step * CONTROL_PERIOD_NS, sample(0.0, error_m=huge))
     error = judge.judgement.statistics.cte_error
@@ -335,7 +335,7 @@ def test_ros15_given_huge_estimates_when_judged_then_every_figure_is_finite(huge
 
 
 def test_ros15_given_huge_estimates_of_both_signs_then_the_bias_is_theirs() -> None:
-    judge = Judge([SHIPPED['phi_always']], 3 * NS_PER_S, MAX_GAP_NS)
+    judge = Judge([SHIPPED['phi_always']], 3 * NS_PER_S, CONTROL_PERIOD_NS)
     for step, huge in enumerate([1e308] * 20 + [-1e308] * 11):
         judge.push(step * CONTROL_PERIOD_NS, sample(0.0, error_m=huge))
     assert judge.judgement.statistics.cte_error.mean == pytest.approx(1e308 * (9 / 31))

@@ -217,6 +217,31 @@ def falls(seen):
 """
 
 
+@pytest.mark.parametrize(('rate_hz', 'images'), [(5, 'none'), (20, 'all'), (40, 'failures')])
+def test_given_another_control_rate_then_every_byte_is_the_same(rate_hz, images, tmp_path):
+    (tmp_path / 'mine.py').write_text(SENSING + MONITORS)
+    (tmp_path / 'mine.yaml').write_text(SENSORS)
+    scene = scenario_from_human({
+        **FAULTS, 'cross_track_m': 2.0, 'duration_s': 2, 'sensors': f'{tmp_path}/mine.yaml',
+        'wind_speed_mps': 5, 'wind_direction_deg': 90, 'gust_mps': 1, 'control_rate_hz': rate_hz,
+    })
+    asked = [request(0, scene), request(1, scene, stop_on=StopOn.VIOLATED)]
+    results = check_same(
+        asked, tmp_path, perception=f'{tmp_path}/mine.py:Fused', images=images,
+        controller=f'{tmp_path}/mine.py:steer+{tmp_path}/mine.py:Late+slow',
+        timing=parse_latency(['perception=normal(0.15,0.05)']),
+    )
+    assert all(result.outcome.judged for result in results)
+    assert results[0].last_seq == 2 * rate_hz
+    folder = tmp_path / 'graph' / 'run-0'
+    recording = open_recording(folder)
+    assert recording.run.request.scenario == scene
+    counts = recording.info.counts
+    assert (counts['/taxi_command'], counts['/wheel/twist']) == (2 * rate_hz + 1, 41)
+    checks = check_bag(folder).checks
+    assert [check.findings for check in checks] == [()] * 4
+
+
 @pytest.mark.parametrize('fallback', ['stop', 'second:taxinet'])
 def test_given_a_monitor_that_switches_then_every_byte_is_the_same(fallback, tmp_path):
     (tmp_path / 'mon.py').write_text(MONITORS)

@@ -49,7 +49,7 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
         datarefs='{"sim/a/b":1.0}',
         duration_s=12.0, place='bikf_10', signals='{"gust_mps@5":0.9}',
         sensors='standard', gnss_noise_m=0.5, gnss_bias_m=-0.2, gnss_dropout_start_s=3.0,
-        gnss_dropout_s=2.0,
+        gnss_dropout_s=2.0, control_rate_hz=20.0,
     )
     default = Scenario()
     for field in dataclasses.fields(Scenario):

@@ -1,0 +1,205 @@
+"""The control rate of a run: the same motion, seen and steered more or less often."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import taxinet_ros as tx
+from taxinet_ros.bag.check.doctor import check_bag
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.assurance.switch import make_controller
+from taxinet_ros.core.control_step import last_step
+from taxinet_ros.core.faults import check_free
+from taxinet_ros.core.motion.aircraft import PHYSICS_HZ
+from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.perception.perception import GroundTruth
+from taxinet_ros.core.perception.substituted import parse_substitution, substituted
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import CONTROL_RATES_HZ
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
+from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import WORLDS, Extension
+from taxinet_ros.scenes.overrides import apply_overrides, check_overrides
+from taxinet_ros.trials.options import make_options
+
+OTHERS = Extension(
+    kind=WORLDS, name='others', target='others:Others', distribution='others', version='1',
+)
+WINDY = {
+    'cross_track_m': 2.0, 'heading_deg': 4.0, 'duration_s': 2.0, 'wind_speed_mps': 8.0,
+    'wind_direction_deg': 90.0, 'clouds': 'overcast', 'rain_percent': 40, 'sensors': 'standard',
+}
+NEAR = {'cross_track_m': 1.0, 'duration_s': 3.0}
+
+
+def scene(rate_hz: float, **human: object) -> Scenario:
+    return scenario_from_human({'control_rate_hz': rate_hz, **human})
+
+
+def braked(scenario: Scenario) -> dict[int, list[object]]:
+    """A run with full brakes and a wheel that turns every 0.2 s: what is seen, by its time."""
+    world, seen = SimulatedWorld(scenario), {}
+    for seq in range(world.last_seq + 1):
+        now = world.observe(picture=seq % (scenario.control_rate_hz // 5) == 0)
+        seen[now.stamp_ns] = now
+        if seq < world.last_seq:
+            turned = now.stamp_ns // 200_000_000 % 3 - 1
+            world.advance(TaxiCommand(steering_rad=0.1 * turned, speed_mps=0.0))
+    return seen
+
+
+def test_given_the_allowed_rates_then_a_period_is_whole_in_physics_steps_and_nanoseconds():
+    assert [hz for hz in range(5, 61) if not (PHYSICS_HZ % hz or NS_PER_S % hz)] == [
+        *CONTROL_RATES_HZ]
+    for rate_hz in CONTROL_RATES_HZ:
+        assert scene(rate_hz).period_ns * rate_hz == NS_PER_S
+
+
+@pytest.mark.parametrize('rate_hz', [5, 20, 40])
+def test_given_commands_that_are_held_then_the_states_and_frames_are_those_at_10_hz(rate_hz):
+    usual, other = braked(scene(10, **WINDY)), braked(scene(rate_hz, **WINDY))
+    assert (len(usual), len(other)) == (21, 2 * rate_hz + 1)
+    shared = sorted(usual.keys() & other.keys())
+    assert len(shared) == min(21, 2 * rate_hz + 1)
+    assert [other[at].state for at in shared] == [usual[at].state for at in shared]
+    pictures = [at for at in shared if at % 200_000_000 == 0]
+    assert len(pictures) == 11
+    for at in pictures:
+        assert np.array_equal(other[at].image, usual[at].image)
+    fixes = [
+        [fix for now in seen.values() for fix in now.measured.gnss] for seen in (usual, other)
+    ]
+    assert fixes[0] == fixes[1]
+    assert len(fixes[0]) > 5
+
+
+def test_given_gusts_then_they_are_drawn_in_physics_steps_and_hardly_depend_on_the_rate():
+    usual, other = (braked(scene(hz, **WINDY, gust_mps=3.0)) for hz in (10, 20))
+    still = braked(scene(10, **WINDY))
+    off_m = [abs(usual[at].state.y_m - other[at].state.y_m) for at in usual]
+    gusts_m = [abs(usual[at].state.y_m - still[at].state.y_m) for at in usual]
+    # They blow along the way through the air, whose direction is taken at each control step.
+    assert 0 < max(off_m) < 0.05 * max(gusts_m)
+
+
+@pytest.mark.parametrize('rate_hz', CONTROL_RATES_HZ)
+def test_given_the_steering_law_then_its_path_is_nearly_that_at_10_hz(rate_hz):
+    usual, other = (
+        tx.run(scene(hz, cross_track_m=3.0, heading_deg=5.0), perception='truth').trace
+        for hz in (10, rate_hz)
+    )
+    assert len(other) == 30 * rate_hz + 1
+    found = np.interp(usual.t_s, other.t_s, other.cte_m)
+    # Frames twice as far apart are a tenth of a second later on average: at 5 m/s some centimetres.
+    assert np.abs(found - usual.cte_m).max() < 0.1
+    assert np.abs(other.speed_mps - 5.0).max() < 0.1
+
+
+def test_given_another_rate_when_recorded_then_bag_and_run_say_the_same(tmp_path):
+    specs = ['phi_always', 'late=always[1:3](abs(cte) <= 0.4)', 'seen=always(estimate_gap <= 0.04)']
+    run = tx.run(scene(20, **NEAR), perception='truth', specs=specs)
+    recording = open_recording(run.save_bag(tmp_path / 'run', images=False))
+    assert recording.run.request.scenario == run.scenario
+    assert recording.period_ns == 50_000_000
+    assert [check.findings for check in check_bag(tmp_path / 'run').checks] == [()] * 4
+    pd = recording.trace
+    assert pd.t_s.tolist() == [seq / 20 for seq in range(61)]
+    assert pd.seq.tolist() == [*range(61)]
+    for name, text in zip(run.rho, specs, strict=True):
+        judged = recording.judge(text)
+        assert judged.interval == run.rho[name]
+    assert run.rho['seen'].lower == pytest.approx(0.04)
+    frames = list(recording.frames(lambda seq: seq in (0, 7)))
+    assert [(one.seq, one.stamp_ns) for one in frames] == [(0, 0), (7, 350_000_000)]
+
+
+def test_given_another_rate_when_forked_then_time_is_counted_in_its_steps():
+    run = tx.run(scene(20, **NEAR), perception='truth')
+    again = run.fork(0.35, perception='truth')
+    assert again.fork_of.step == 7
+    assert again.fork_of.at_s == pytest.approx(0.35)
+    assert again.trace.equals(run.trace)
+    with pytest.raises(UsageError, match=r'between control steps; take 0\.3 or 0\.35 s'):
+        run.fork(0.33, perception='truth')
+    with pytest.raises(UsageError, match='control_rate_hz cannot change during a run'):
+        run.fork(0.35, settings={'control_rate_hz': 10})
+
+
+def test_given_a_latency_then_a_command_takes_effect_that_much_later_at_every_rate():
+    for rate_hz in (5, 10, 20, 40):
+        run = tx.run(
+            scene(rate_hz, duration_s=1.0, loop_delay_s=0.2),
+            perception='truth', controller=lambda estimate: (0.1, 5.0),
+        )
+        yaw = run.trace.he_rad.to_numpy()
+        moved = run.trace.t_s[np.abs(yaw) > 1e-4].min()
+        assert 0.2 < moved <= 0.2 + max(1 / rate_hz, 0.1) + 1e-9, rate_hz
+
+
+def test_given_a_substitute_then_its_delay_and_its_memory_are_in_seconds():
+    def made(word: str, rate_hz: int, seed: tuple[int, int] = (1, 2)):
+        return substituted(
+            parse_substitution(word), GroundTruth(), seed, scene(rate_hz).period_ns)
+
+    late = made('truth-delayed:0.5', 20)
+    seen = [late.estimate(None, TrackingError(cte_m=float(k), he_rad=0.0)).cte_m for k in range(20)]
+    assert seen == [0.0] * 10 + [float(k) for k in range(10)]
+    truth = TrackingError(cte_m=0.0, he_rad=0.0)
+    paths = np.array([
+        [noisy.estimate(None, truth).cte_m for _ in range(21)]
+        for noisy in (made('noisy:1', 20, (3, index)) for index in range(2000))
+    ])
+    # After 20 steps of 0.05 s, one second.
+    assert np.corrcoef(paths[:, 0], paths[:, 20])[0, 1] == pytest.approx(math.exp(-1), abs=0.06)
+    with pytest.raises(UsageError, match=r'delayed:0\.1: a delay has to be a multiple of 0\.2 s'):
+        made('delayed:0.1', 5)
+
+
+def test_given_the_usual_rate_then_nothing_of_it_is_recorded():
+    assert 'control_rate_hz' not in Scenario().recorded_text
+    given = scene(20, sensors='standard', gnss_noise_m=2.0, camera_dz_m=0.1)
+    assert Scenario(**given.recorded()) == given
+    usual = scenario_from_human({**given.to_human(), 'control_rate_hz': 10})
+    assert (given.period_ns, usual.period_ns) == (50_000_000, 100_000_000)
+    assert given.digest != usual.digest
+    assert 'control_rate_hz' not in usual.recorded_text
+
+
+@pytest.mark.parametrize(('values', 'words'), [
+    ({'control_rate_hz': 30}, 'control_rate_hz is 30, not one of 5, 8, 10, 20, 40: a period has'),
+    ({'control_rate_hz': 60}, r'control_rate_hz is 60, outside 5\.\.40 Hz'),
+    ({'control_rate_hz': 'fast'}, 'control_rate_hz needs a number'),
+    ({'control_rate_hz': 5, 'duration_s': 2.1}, r'2\.1 s is not a multiple of the control period'),
+])
+def test_given_a_rate_that_cannot_be_then_one_line_says_so(values, words):
+    with pytest.raises(UsageError, match=words):
+        last_step(scenario_from_human(values))
+
+
+def test_given_a_duration_that_only_another_rate_divides_then_it_is_allowed_with_that_rate():
+    check_overrides({'duration_s': '1.25', 'control_rate_hz': '8'})
+    assert last_step(apply_overrides({}, {'duration_s': '1.25', 'control_rate_hz': '8'}, '')) == 10
+    with pytest.raises(UsageError, match=r'1\.25 s is not a multiple of the control period 0\.1 s'):
+        apply_overrides({}, {'duration_s': '1.25'}, 'program')
+
+
+def test_given_what_keeps_to_10_hz_then_another_rate_is_refused_by_name():
+    other = scene(20, **NEAR)
+    with pytest.raises(UsageError, match='control_rate_hz: not in a free run'):
+        check_free(other)
+    with pytest.raises(UsageError, match=r'others.*: control_rate_hz would have no effect'):
+        _PluginWorld(OTHERS, lambda scenario, pictures=True: None, other)
+    for monitor in ('original', 'sigma:1.5'):
+        controller = make_controller(f'steering+{monitor}+stop', SteeringGains())
+        with pytest.raises(UsageError, match='not with control_rate_hz=20, as it judges over'):
+            tx.run(other, perception='original', controller=controller)
+        options = make_options(
+            program='cruise', runs=1, seed=0, perception='original', settings=(),
+            controller=f'steering+{monitor}+stop',
+        )
+        with pytest.raises(UsageError, match=f'--monitor {monitor}: not with control_rate_hz=20'):
+            options.check(other, lambda: [])
