@@ -52,6 +52,18 @@ def test_given_the_help_when_printed_then_no_command_is_imported():
     assert done.stdout.splitlines()[-1] == "['taxinet_ros.cli.commands'] False"
 
 
+def test_given_the_help_of_each_command_then_nothing_that_takes_long_is_imported():
+    code = (
+        'import sys; from taxinet_ros.cli.commands import SECTIONS; '
+        'from taxinet_ros.cli.main import app; '
+        '[app([name, "-h"], standalone_mode=False) for names in SECTIONS.values() '
+        ' for name, place in names.items() if place]; '
+        'print({"matplotlib", "pandas", "rclpy", "scipy", "torch"} & {*sys.modules})'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == 'set()'
+
+
 @pytest.mark.parametrize('line', [line for lines in EXAMPLES.values() for line in lines])
 def test_given_an_example_when_parsed_then_its_command_takes_it_and_its_program_exists(line):
     first, *words = shlex.split(line)

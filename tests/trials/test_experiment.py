@@ -13,6 +13,7 @@ import falsify_samples as toy
 import pandas as pd
 import pytest
 
+from taxinet_ros.analysis.experiment import report as experiment_report
 from taxinet_ros.cli.run import campaign as campaign_command
 from taxinet_ros.cli.run import experiment as command
 from taxinet_ros.core.mtl import exact_intervals
@@ -242,7 +243,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
     monkeypatch.setattr(campaign_command, 'run_search', bench.run_search)
     monkeypatch.setattr(campaign_command, 'WorkerPool', lambda *arguments: contextlib.nullcontext())
-    monkeypatch.setattr(command, 'write_experiment', bench.report)
+    monkeypatch.setattr(experiment_report, 'write_experiment', bench.report)
     return bench
 
 

@@ -4,36 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.experiment.arms import paired_arms
-from taxinet_ros.analysis.experiment.report import write_experiment
 from taxinet_ros.cli.completion import complete_experiment, complete_perception
 from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.cli.run.campaign import run_on_workers, search_view
-from taxinet_ros.cli.run.search import open_cluster, open_search
 from taxinet_ros.cli.show import print_json
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
-from taxinet_ros.nodes.running.domain import check_workers
-from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.experiment import (
-    Experiment,
-    arm_rows,
-    arm_searches,
-    check_paired,
-    find_experiment,
-    read_experiment,
-    with_network,
-)
 from taxinet_ros.trials.options import DEFAULT_ROOT, GRAPH, new_folder
-from taxinet_ros.trials.record.facts import missing_packages_named
-from taxinet_ros.trials.search import Search
-from taxinet_ros.trials.summary import Summary, requirement_lines, row_headings
+
+if TYPE_CHECKING:
+    from taxinet_ros.trials.engine import Engine
+    from taxinet_ros.trials.experiment import Experiment
+    from taxinet_ros.trials.search import Search
 
 
 def experiment(
@@ -68,6 +55,9 @@ def experiment(
 
     Each arm of the experiment is a separate campaign; runs of the same scene are compared in pairs.
     """
+    from taxinet_ros.trials.experiment import find_experiment, read_experiment, with_network
+    from taxinet_ros.trials.record.facts import missing_packages_named
+
     if resume and out is None:
         raise UsageError('--resume: name the experiment to continue with --out')
     with missing_packages_named(out if resume else None):
@@ -98,6 +88,12 @@ def run_experiment(
     Raises:
         UsageError: bad input, or arms whose scenes are not the same.
     """
+    from taxinet_ros.analysis.experiment.arms import paired_arms
+    from taxinet_ros.analysis.experiment.report import write_experiment
+    from taxinet_ros.nodes.running.domain import check_workers
+    from taxinet_ros.trials.experiment import arm_rows, arm_searches, check_paired
+    from taxinet_ros.trials.summary import Summary
+
     console = Console(emoji=False, highlight=False, stderr=as_json)
     check_workers(workers)
     searches = arm_searches(
@@ -134,6 +130,10 @@ def _run_arm(arm: Search, console: Console, *, first: bool) -> Engine[Search]:
 
     The first arm prints how the requirements are parsed; they are the same in all arms.
     """
+    from taxinet_ros.cli.run.campaign import run_on_workers, search_view
+    from taxinet_ros.cli.run.search import open_cluster, open_search
+    from taxinet_ros.trials.summary import requirement_lines, row_headings
+
     with (
         open_cluster(arm.campaign, console) as cluster,
         open_search(arm, console, quiet=False) as search,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import typer
 from rich.console import Console
 
-from taxinet_ros.analysis.search.shrinking import PROGRAM_NAME, write_shrunk
 from taxinet_ros.cli.options import (
     AuditOption,
     ClusterOption,
@@ -25,26 +25,11 @@ from taxinet_ros.cli.options import (
     WorkersOption,
 )
 from taxinet_ros.cli.progress import print_rows_if_lost
-from taxinet_ros.cli.run.campaign import run_on_workers, search_view
-from taxinet_ros.cli.run.search import open_cluster, print_row
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import ExitCode
-from taxinet_ros.nodes.running.domain import check_workers
-from taxinet_ros.trials.engine import Engine
-from taxinet_ros.trials.record.facts import missing_packages_named
-from taxinet_ros.trials.shrink.algorithm import End
-from taxinet_ros.trials.shrink.shrinking import (
-    Report,
-    Shrinking,
-    check_run,
-    finding_lines,
-    make_report,
-    make_shrinking,
-    parameter_table,
-    result_lines,
-    run_command,
-    shrink_heading,
-)
+
+if TYPE_CHECKING:
+    from taxinet_ros.trials.shrink.shrinking import Report, Shrinking
 
 
 def shrink(
@@ -67,6 +52,9 @@ def shrink(
 
     Moves its parameters to nominal taxiing one by one, and reports which of them matter.
     """
+    from taxinet_ros.trials.record.facts import missing_packages_named
+    from taxinet_ros.trials.shrink.shrinking import make_shrinking
+
     with missing_packages_named(run.parent):
         shrinking = make_shrinking(
             run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
@@ -91,6 +79,13 @@ def _run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
         InfraError: the test bench failed.
         RecordError: the record cannot be written.
     """
+    from taxinet_ros.cli.run.campaign import run_on_workers, search_view
+    from taxinet_ros.cli.run.search import open_cluster, print_row
+    from taxinet_ros.nodes.running.domain import check_workers
+    from taxinet_ros.trials.engine import Engine
+    from taxinet_ros.trials.shrink.algorithm import End
+    from taxinet_ros.trials.shrink.shrinking import check_run, make_report, shrink_heading
+
     check_workers(shrinking.campaign.workers)
     console = Console(emoji=False, highlight=False)
     begun = time.monotonic()
@@ -115,12 +110,15 @@ def _run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
 
 
 def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:
-    lines = result_lines(found, shrinking, wall_s)
+    from taxinet_ros.analysis.search.shrinking import PROGRAM_NAME, write_shrunk
+    from taxinet_ros.trials.shrink import shrinking as shrunk
+
+    lines = shrunk.result_lines(found, shrinking, wall_s)
     if found.original is not None:
         out = shrinking.campaign.out
         names = write_shrunk(shrinking, found)
-        console.print(parameter_table(found))
-        console.print('\n'.join(finding_lines(found)), soft_wrap=True)
+        console.print(shrunk.parameter_table(found))
+        console.print('\n'.join(shrunk.finding_lines(found)), soft_wrap=True)
         lines.append(f'written: {out / names[0]}, {", ".join(names[1:])}')
-        lines.append(f'run it: {run_command(shrinking, str(out / PROGRAM_NAME))}')
+        lines.append(f'run it: {shrunk.run_command(shrinking, str(out / PROGRAM_NAME))}')
     console.print('\n'.join(lines), soft_wrap=True)

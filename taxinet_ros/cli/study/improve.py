@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,15 +18,13 @@ from taxinet_ros.cli.options import (
     refuse_given,
 )
 from taxinet_ros.cli.show import line_console
-from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import json_text
-from taxinet_ros.study.improve.loop import BEST, COMMAND, ImproveOptions, improve_network, resumed
-from taxinet_ros.study.stages.run import OPTIONS, StoppedError, StudyRun, open_study
-from taxinet_ros.study.stages.stage import Stage, with_engine
-from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_folder
+
+if TYPE_CHECKING:
+    from taxinet_ros.study.stages.stage import Stage
 
 ROUNDS_NAME = 'rounds.json'
 """The rounds of the record, to read."""
@@ -89,6 +87,20 @@ def improve(
     Every stage does what a printed taxinet command does. Exit codes: 0 done, 130 interrupted,
     else that of the failed stage.
     """
+    # These take seconds to import, which --help need not wait for.
+    from taxinet_ros.cli.study.stages import call_stage
+    from taxinet_ros.nodes.running.domain import check_workers
+    from taxinet_ros.study.improve.loop import (
+        BEST,
+        COMMAND,
+        ImproveOptions,
+        improve_network,
+        resumed,
+    )
+    from taxinet_ros.study.stages.run import OPTIONS, StoppedError, StudyRun, open_study
+    from taxinet_ros.study.stages.stage import with_engine
+    from taxinet_ros.trials.cluster.pool import check_cluster
+
     if resume:
         others = given_options(context).keys() - {
             'out', 'workers', 'resume', 'engine', 'audit', 'cluster',
@@ -100,8 +112,6 @@ def improve(
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
         margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
-    from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
-
     with_engine((), engine, audit)  # checks them before anything is made
     where = check_cluster(cluster) if cluster else ''
     if asked is not None:

@@ -6,35 +6,22 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.analysis.report.page import write_report_page
-from taxinet_ros.analysis.report.parts import Section
 from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
 from taxinet_ros.cli.show import line_console, print_json
-from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import json_text
 from taxinet_ros.files.record import RECORD_NAME
-from taxinet_ros.study.stages.run import StoppedError, StudyRun, claim_study, open_study
-from taxinet_ros.study.stages.stage import Stage, with_engine
-from taxinet_ros.study.why.investigation import Investigation, kind_of
-from taxinet_ros.study.why.plan import Budget
-from taxinet_ros.study.why.verdict import (
-    JSON_NAME,
-    PAGE_NAME,
-    Fault,
-    Verdict,
-    judge,
-    todo_of,
-    why_json,
-    why_report,
-)
-from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import DEFAULT_ROOT, make_out
+
+if TYPE_CHECKING:
+    from taxinet_ros.analysis.report.parts import Section
+    from taxinet_ros.study.stages.stage import Stage
+    from taxinet_ros.study.why.verdict import Verdict
 
 
 def why(
@@ -70,6 +57,16 @@ def why(
     to all evidence, and the command that fixes it. After an interrupt, the same command continues.
     Exit codes: 0 a verdict, 3 unclear, 130 interrupted.
     """
+    # These take seconds to import, which --help need not wait for.
+    from taxinet_ros.analysis.report.page import write_report_page
+    from taxinet_ros.cli.study.stages import call_stage
+    from taxinet_ros.study.stages.run import StoppedError, StudyRun, claim_study, open_study
+    from taxinet_ros.study.stages.stage import with_engine
+    from taxinet_ros.study.why import verdict as found
+    from taxinet_ros.study.why.investigation import Investigation, kind_of
+    from taxinet_ros.study.why.plan import Budget
+    from taxinet_ros.trials.cluster.pool import check_cluster
+
     console = line_console(stderr=as_json)
     asked = Budget(runs=budget)  # checked before anything is made
     with_engine((), engine, audit)
@@ -106,21 +103,22 @@ def why(
         except StoppedError as stopped:
             return stopped.code
         record.check_in_place()
-        verdict = judge(evidence)
-        todo = todo_of(evidence, verdict, path, kind)
-        write_report_page(why_report(evidence, verdict, todo, out), out / PAGE_NAME)
-        values = why_json(evidence, verdict, todo)
-        write_atomically(out / JSON_NAME, json_text(values) + '\n')
+        verdict = found.judge(evidence)
+        todo = found.todo_of(evidence, verdict, path, kind)
+        page = out / found.PAGE_NAME
+        write_report_page(found.why_report(evidence, verdict, todo, out), page)
+        values = found.why_json(evidence, verdict, todo)
+        write_atomically(out / found.JSON_NAME, json_text(values) + '\n')
     if as_json:
         print_json(values)
     else:
-        _print(show, verdict, todo, out)
-    unclear = verdict.fault in (Fault.UNCLEAR, Fault.BENCH)
+        _print(show, verdict, todo, page)
+    unclear = verdict.fault in (found.Fault.UNCLEAR, found.Fault.BENCH)
     return ExitCode.INCOMPLETE if unclear else ExitCode.OK
 
 
 def _print(
-    show: Callable[[str], None], verdict: Verdict, todo: Sequence[Section], out: Path
+    show: Callable[[str], None], verdict: Verdict, todo: Sequence[Section], page: Path
 ) -> None:
     show('')
     for sentence in verdict.sentences:
@@ -131,7 +129,7 @@ def _print(
         for command in action.commands:
             show(f'  {command}')
     show('')
-    show(f'page: {_near(out / PAGE_NAME)}')
+    show(f'page: {_near(page)}')
 
 
 def _near(path: Path) -> str:

@@ -205,7 +205,7 @@ def test_given_a_stage_that_is_interrupted_then_nothing_is_concluded(
 ):
     (tmp_path / 'found').mkdir()
     folder = recorded(tmp_path / 'found', [Outcome.PASS, Outcome.FAIL])
-    monkeypatch.setattr('taxinet_ros.cli.study.why.call_stage', lambda stage, resume: 130)
+    monkeypatch.setattr('taxinet_ros.cli.study.stages.call_stage', lambda stage, resume: 130)
     code, said, _ = taxinet('why', folder, '--out', tmp_path / 'why')
     assert code == 130
     assert said.endswith('interrupted in analyze; the same command goes on\n')
