@@ -21,7 +21,7 @@ from taxinet_ros.cli.help import EXAMPLES
 from taxinet_ros.cli.main import app
 from taxinet_ros.cli.run.node import NODES
 from taxinet_ros.core import topics
-from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, Kind, ScenarioField
+from taxinet_ros.core.scenario_fields import BY_KEY, SCENARIO_FIELDS, ScenarioField
 from taxinet_ros.nodes.running.parameters import Parameter
 from taxinet_ros.trials.record.row import ATTRIBUTES, RunRow
 from taxinet_ros.trials.record.table import table
@@ -180,22 +180,8 @@ def scenario_keys() -> str:
 
 
 def _scenario_key(field: ScenarioField, default: Any) -> list[str]:
-    if field.kind is Kind.NUMBER and field.high > 1e9:
-        may_be = 'a whole number'
-    elif field.kind is Kind.NUMBER:
-        low, high = field.low / field.si, field.high / field.si
-        may_be = f'{low:g} to {high:g}{field.unit_mark}{field.counted}'
-    elif field.kind is Kind.SWITCH:
-        may_be = 'on, off'
-    elif field.catalogue is not None:
-        may_be = f'{", ".join(field.catalogue.shipped)}, or a YAML file'
-    else:
-        may_be = ', '.join(field.words) or {Kind.DATE: 'YYYY-MM-DD'}.get(field.kind, 'a word')
-    shown = field.to_human(default)
-    shown = {True: 'on', False: 'off'}[shown] if field.kind is Kind.SWITCH else shown
-    shown = f'{shown:g}' if isinstance(shown, float) else str(shown)
     later = '; may change within a run' * field.varies
-    return [f'`{field.key}`', may_be, shown, f'{field.title}{later}']
+    return [f'`{field.key}`', field.allowed, field.typed(default), f'{field.title}{later}']
 
 
 def columns() -> str:

@@ -26,6 +26,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     'Run scenes': {
         'demo': 'run.demo:demo',
         'run': 'run.run:run',
+        'keys': 'run.keys:keys',
         'up': 'run.up:up',
         'node': 'run.node:node',
         'check-node': 'run.check_node:check_node',

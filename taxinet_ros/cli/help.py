@@ -14,6 +14,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet run s_falsif --runs 20 --perception my_net.onnx --controller my_file.py:steer',
         'taxinet run --from bags/found/RUN --perception truth',
     ),
+    'keys': ('taxinet keys', 'taxinet keys wind'),
     'up': ('taxinet up --perception taxinet',),
     'node': ('taxinet node scenario_sampler --ros-args -p program:=s_falsif',),
     'check-node': ("taxinet check-node 'ros2 run my_pkg my_node'",),

@@ -62,6 +62,8 @@ _SWITCH_WORDS = {
 _PLAIN_NUMBER = re.compile(r'\s*[+-]?[0-9a-zA-Z.+-]{1,40}\s*')
 """Python also reads ``1_0`` and digits of other scripts; a typing error must not become a value."""
 _CLOCK = re.compile(r'\s*([0-9]{1,2}):([0-5][0-9])(?::([0-5][0-9]))?\s*')
+_SEEDS = 1e9
+"""A greater limit is that of a seed, whose numbers have no meaning."""
 _DECIMALS = 9
 """Rounding to a nano-unit makes degrees -> radians -> degrees give back what was typed."""
 
@@ -154,6 +156,20 @@ class ScenarioField:
         """The unit as it follows a number: ``' m'``, ``'°'``, ``''``."""
         return self.unit if self.unit in ('', '°') else f' {self.unit}'
 
+    @property
+    def allowed(self) -> str:
+        """What its values may be, at the paper's place: ``0 to 30 m/s``, ``on, off``."""
+        if self.kind is Kind.NUMBER:
+            if self.high > _SEEDS:
+                return 'a whole number'
+            low, high = self.low / self.si, self.high / self.si
+            return f'{low:g} to {high:g}{self.unit_mark}{self.counted}'
+        if self.kind is Kind.SWITCH:
+            return 'on, off'
+        if self.catalogue is not None:
+            return f'{", ".join(self.catalogue.shipped)}, or a YAML file'
+        return ', '.join(self.words) or ('YYYY-MM-DD' if self.kind is Kind.DATE else 'a word')
+
     def from_human(self, value: Any) -> Any:
         """Convert a user's value to SI units.
 
@@ -191,6 +207,13 @@ class ScenarioField:
         if self.catalogue is not None:
             return self.catalogue.find(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
+
+    def typed(self, value: Any) -> str:
+        """A value in SI units as a person would type it: ``12``, ``on``, ``caravan``."""
+        human = self.to_human(value)
+        if self.kind is Kind.SWITCH:
+            return 'on' if human else 'off'
+        return f'{human:g}' if isinstance(human, float) else str(human)
 
     def checked(self, value: Any, limits: tuple[float, float] | None = None) -> Any:
         """A value in SI units as plain Python, if it is of its kind and possible.
