@@ -26,8 +26,10 @@ from taxinet_ros.core.scenario_fields import CONTROL_RATES_HZ
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
 from taxinet_ros.errors import UsageError
+from taxinet_ros.extras.forecast.forecast import samples_of
 from taxinet_ros.registry import WORLDS, Extension
 from taxinet_ros.scenes.overrides import apply_overrides, check_overrides
+from taxinet_ros.scenes.source import SceneSource, first_scene
 from taxinet_ros.trials.options import make_options
 
 OTHERS = Extension(
@@ -117,6 +119,8 @@ def test_given_another_rate_when_recorded_then_bag_and_run_say_the_same(tmp_path
         judged = recording.judge(text)
         assert judged.interval == run.rho[name]
     assert run.rho['seen'].lower == pytest.approx(0.04)
+    with pytest.raises(UsageError, match='its control_rate_hz is 20, a forecast needs the usual'):
+        next(samples_of(recording, 'phi_always'))
     frames = list(recording.frames(lambda seq: seq in (0, 7)))
     assert [(one.seq, one.stamp_ns) for one in frames] == [(0, 0), (7, 350_000_000)]
 
@@ -216,6 +220,16 @@ def test_given_a_duration_that_only_another_rate_divides_then_it_is_allowed_with
     assert last_step(apply_overrides({}, {'duration_s': '1.25', 'control_rate_hz': '8'}, '')) == 10
     with pytest.raises(UsageError, match=r'1\.25 s is not a multiple of the control period 0\.1 s'):
         apply_overrides({}, {'duration_s': '1.25'}, 'program')
+
+
+def test_given_a_program_with_a_rate_then_overrides_are_checked_against_it(tmp_path):
+    program = tmp_path / 'fast.scenic'
+    program.write_text(
+        'model runway_world\nparam control_rate_hz = 20\nego = new Plane at (2, 800)\n')
+    with SceneSource(program, seed=0, overrides={'duration_s': '2.05'}) as source:
+        assert last_step(first_scene(source)) == 41
+    with SceneSource(program, seed=0, overrides={'control_rate': '8'}) as source:
+        assert last_step(first_scene(source)) == 240
 
 
 def test_given_what_keeps_to_10_hz_then_another_rate_is_refused_by_name():
