@@ -1,7 +1,7 @@
 """The closed loop in one process, without ROS: the bit-exact reference for the ROS graph.
 
-Each control step: observe the world, estimate, compute the command,
-evaluate the requirements on the truth, advance the world (paper, section 3.1).
+Each control step: observe the world, estimate, compute the command, evaluate the requirements on
+the truth, advance the world (paper, section 3.1).
 """
 
 from __future__ import annotations

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 import taxinet_ros as tx
+from taxinet_ros.analysis.report.viewer import read_frames
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.assurance.switch import make_controller
@@ -22,8 +26,10 @@ from taxinet_ros.core.scenario_fields import CONTROL_RATES_HZ
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
 from taxinet_ros.errors import UsageError
+from taxinet_ros.extras.forecast.forecast import samples_of
 from taxinet_ros.registry import WORLDS, Extension
 from taxinet_ros.scenes.overrides import apply_overrides, check_overrides
+from taxinet_ros.scenes.source import SceneSource, first_scene
 from taxinet_ros.trials.options import make_options
 
 OTHERS = Extension(
@@ -113,8 +119,37 @@ def test_given_another_rate_when_recorded_then_bag_and_run_say_the_same(tmp_path
         judged = recording.judge(text)
         assert judged.interval == run.rho[name]
     assert run.rho['seen'].lower == pytest.approx(0.04)
+    with pytest.raises(UsageError, match='its control_rate_hz is 20, a forecast needs the usual'):
+        next(samples_of(recording, 'phi_always'))
     frames = list(recording.frames(lambda seq: seq in (0, 7)))
     assert [(one.seq, one.stamp_ns) for one in frames] == [(0, 0), (7, 350_000_000)]
+
+
+def test_given_another_rate_when_shown_then_films_and_pages_go_as_fast_as_the_run(
+    tmp_path, taxinet
+):
+    run = tx.run(scene(20, **NEAR), perception='truth')
+    bag = run.save_bag(tmp_path / 'run', images=True)
+    assert taxinet('bag', 'export', bag, '--out', tmp_path / 'f.gif')[0] == 0
+    with Image.open(tmp_path / 'f.gif') as gif:
+        assert (gif.n_frames, gif.info['duration']) == (31, 100)
+    assert taxinet('bag', 'export', bag, '--out', tmp_path / 'f.mp4')[0] == 0
+    film = cv2.VideoCapture(str(tmp_path / 'f.mp4'))
+    assert (film.get(cv2.CAP_PROP_FPS), film.get(cv2.CAP_PROP_FRAME_COUNT)) == (20, 61)
+    assert read_frames(open_recording(bag)).steps == tuple(range(0, 61, 10))
+
+
+def test_given_two_bags_at_another_rate_then_the_first_difference_has_its_time(tmp_path, taxinet):
+    for name, turns in (('one', 99), ('two', 7)):
+        steps = itertools.count()
+        run = tx.run(
+            scene(20, **NEAR), perception='truth',
+            controller=lambda _, steps=steps, turns=turns: (0.05 * (next(steps) == turns), 5),
+        )
+        run.save_bag(tmp_path / name, images=False)
+    code, out, _ = taxinet('bag', 'compare', tmp_path / 'one', tmp_path / 'two')
+    assert code == 1
+    assert 'first at step 7 (0.3 s)' in out or 'first at step 7 (0.4 s)' in out  # of 0.35 s
 
 
 def test_given_another_rate_when_forked_then_time_is_counted_in_its_steps():
@@ -185,6 +220,16 @@ def test_given_a_duration_that_only_another_rate_divides_then_it_is_allowed_with
     assert last_step(apply_overrides({}, {'duration_s': '1.25', 'control_rate_hz': '8'}, '')) == 10
     with pytest.raises(UsageError, match=r'1\.25 s is not a multiple of the control period 0\.1 s'):
         apply_overrides({}, {'duration_s': '1.25'}, 'program')
+
+
+def test_given_a_program_with_a_rate_then_overrides_are_checked_against_it(tmp_path):
+    program = tmp_path / 'fast.scenic'
+    program.write_text(
+        'model runway_world\nparam control_rate_hz = 20\nego = new Plane at (2, 800)\n')
+    with SceneSource(program, seed=0, overrides={'duration_s': '2.05'}) as source:
+        assert last_step(first_scene(source)) == 41
+    with SceneSource(program, seed=0, overrides={'control_rate': '8'}) as source:
+        assert last_step(first_scene(source)) == 240
 
 
 def test_given_what_keeps_to_10_hz_then_another_rate_is_refused_by_name():

@@ -57,12 +57,12 @@ def make_node(context, monitor):
 class Heard:
     """What the node has said on its topic, step by step."""
 
-    def __init__(self, messages):
+    def __init__(self, messages, rate_hz=10):
         arrays = [deserialize_message(cdr, DiagnosticArray) for cdr in messages]
         self.statuses = [status for array in arrays for status in array.status]
         assert len(self.statuses) == len(arrays)
         stamps = [one.header.stamp for one in arrays]
-        self.steps = [stamp.sec * 10 + round(stamp.nanosec / 1e8) for stamp in stamps]
+        self.steps = [round((stamp.sec + stamp.nanosec / 1e9) * rate_hz) for stamp in stamps]
         self.values = [{x.key: x.value for x in one.values} for one in self.statuses]
         self.levels = [one.level for one in self.statuses]
 
@@ -100,16 +100,18 @@ def judged(bag, word):
     ):
         scores = monitor.scores(Seen(image=frame.image, estimate=estimate, command=command))
         largest = {name: max(score, largest.get(name, score)) for name, score in scores.items()}
-        alarm = alarm_of(scores, frame.seq)
+        alarm = alarm_of(scores, frame.seq, scenario.period_ns)
         if alarm is not None:
             break
     return SimpleNamespace(alarm=alarm, largest=largest, steps=frame.seq + 1)
 
 
+@pytest.mark.parametrize('rate_hz', [10, 20])
 def test_given_a_run_with_it_then_time_waits_for_it_and_the_bag_says_the_same(
-    tmp_path, short_request, mine
+    tmp_path, short_request, mine, rate_hz
 ):
-    request = replace(short_request, run_id='beside', participants=BESIDE)
+    scenario = replace(short_request.scenario, control_rate_hz=rate_hz)
+    request = replace(short_request, scenario=scenario, run_id='beside', participants=BESIDE)
     messages = []
     with composed_graph(GraphOptions(perception='taxinet', out=tmp_path)) as graph:
         spinning = graph._spinning
@@ -121,8 +123,8 @@ def test_given_a_run_with_it_then_time_waits_for_it_and_the_bag_says_the_same(
     assert result.outcome.judged, result
     told = judged(tmp_path / 'beside', mine)
     assert told.alarm is not None
-    assert 0 < told.alarm.step < 20
-    Heard(messages).check(told, 21, 'beside')
+    assert 0 < told.alarm.step < 2 * rate_hz
+    Heard(messages, rate_hz).check(told, 2 * rate_hz + 1, 'beside')
     told_of = [
         one.cdr for one in stored_messages(tmp_path / 'beside')
         if one.topic.name == '/node_status' and b'runtime_monitor' in one.cdr

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -29,7 +29,7 @@ def keys(
     from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 
     plain = Scenario()
-    lines = [
+    lines: list[dict[str, Any]] = [
         {
             'key': field.key, 'may_be': field.allowed,
             'default': field.typed(getattr(plain, field.attribute)), 'what': field.title,

@@ -173,9 +173,7 @@ class Delayed(Perception):
         self.fingerprint = perception.fingerprint
         self.needs_image, self.needs_sensors = perception.needs_image, perception.needs_sensors
         self._perception = perception
-        self._estimates: deque[TrackingError] = deque(
-            maxlen=round(delay_s / period_s) + 1
-        )
+        self._estimates: deque[TrackingError] = deque(maxlen=round(delay_s / period_s) + 1)
 
     def begin(self, rig: Rig | None = None) -> None:
         """Reset the perception and clear the buffer."""

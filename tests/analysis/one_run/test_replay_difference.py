@@ -13,7 +13,7 @@ SEQ = np.arange(5)
 
 
 def compared(recorded, replayed, name='est_cte_m', seqs=SEQ):
-    trace = {'seq': SEQ, name: np.array(recorded)}
+    trace = {'seq': SEQ, 't_ns': SEQ * 50_000_000, name: np.array(recorded)}
     (quantity,) = quantities(trace, (name,))
     answers = {'seq': np.array(seqs, float), name: np.array(replayed, float)}
     return difference(quantity, trace, answers)
@@ -36,6 +36,7 @@ def test_given_two_series_then_steps_and_distances_are_right(
 ):
     found = compared(recorded, replayed)
     assert (found.equal_steps, found.first_seq, found.greatest) == (equal, first, greatest)
+    assert found.first_s == (None if first is None else first / 20)
     assert found.mean == pytest.approx(mean)
 
 
