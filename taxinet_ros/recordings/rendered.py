@@ -120,7 +120,7 @@ def render_beside(found: Score, scenario: Scenario) -> None:
     table['rendered_est_heading_error_deg'] = np.degrees(seen[:, 1])
     beside = table.iloc[rows].copy()
     for quantity, name in (('cte_error_m', 'cte_m'),
-                           ('heading_error_error_deg', 'heading_error_deg')):
+                           ('he_error_deg', 'heading_error_deg')):
         beside[f'{quantity}_2'] = beside[f'rendered_est_{name}'] - beside[name]
     found.start, found.gap = scenario, sliced(beside, 2)[0]
     found.pairs = {row: (pixels, shown[row]) for row, pixels in row_pictures(found, chosen)}
