@@ -103,28 +103,34 @@ def test_given_late_pictures_then_recorded_estimates_tell_their_latency(scored):
     found = scored(late, perception='/seen', latency='estimated')
     assert found.latency.value_s == pytest.approx(0.25, abs=0.03)
     assert found.latency.low_s < 0.25 < found.latency.high_s
-    assert errors(found) == pytest.approx((0.5, 2.0), abs=0.03)
+    assert errors(found) == pytest.approx((0.5, 2.0), abs=0.04)
 
 
-@pytest.mark.parametrize(('kind', 'message', 'word', 'more'), [
-    (OURS, ours, '/seen', {'by_log': True}),
-    (OURS, ours, '/seen', {'stamp': lambda ns: ns + LATE_NS}),
-    (ARRAY, lambda ns, cte, he: array(cte, he), '/seen:data.0=m,data.1=rad', {'by_log': True}),
+def test_given_a_short_drive_then_the_line_says_that_it_is_the_path_and_what_would_tell(scored):
+    much = 0.3, math.radians(1.5)
+    found = scored(Drive(seconds=30, more=heard(OURS, ours, seconds=30, noise=much)),
+                   perception='/seen')
+    assert re.fullmatch(
+        r'on a path so short or even, any from -[\d.]+ to \+[\d.]+ s fits about as well; a longer '
+        'one with uneven turns would tell', found.latency.why)
+
+
+@pytest.mark.parametrize(('kind', 'message', 'word', 'late_ns', 'more'), [
+    (OURS, ours, '/seen', 0, {'by_log': True, 'keep': images}),
+    (OURS, ours, '/seen', LATE_NS, {'image': 'none'}),
+    (ARRAY, lambda ns, cte, he: array(cte, he), '/seen:data.0=m,data.1=rad', 0, {
+        'by_log': True, 'image': 'none'}),
 ], ids=['times of recording', 'stamps of publishing', 'without header'])
-@pytest.mark.parametrize('pictures', [False, True])
 def test_given_estimates_without_pictures_then_each_counts_at_its_time_and_the_delay_is_found(
-    scored, kind, message, word, more, pictures
+    scored, kind, message, word, late_ns, more
 ):
-    own = {key: value for key, value in more.items() if key == 'by_log'}
-    stamp = {key: value for key, value in more.items() if key == 'stamp'}
-    drive = Drive(more=heard(kind, message, noise=LITTLE, **stamp))
-    found = scored(drive, perception=word, latency='estimated', **own, **(
-        {'image': 'none'} if pictures else {'keep': images}))
+    sent = heard(kind, message, noise=LITTLE, stamp=lambda ns: ns + late_ns)
+    found = scored(Drive(more=sent), perception=word, latency='estimated', **more)
     assert len(found.table) == 601
     assert found.setup.image == ''
     assert found.latency.value_s == pytest.approx(0.3, abs=0.03)
     assert found.latency.low_s < 0.3 < found.latency.high_s
-    assert errors(found) == pytest.approx((0.5, 2.0), abs=0.03)
+    assert errors(found) == pytest.approx((0.5, 2.0), abs=0.04)
     assert found.notes == []
 
 
@@ -148,15 +154,17 @@ def test_given_estimates_that_are_missing_invalid_or_strange_then_each_is_counte
 
 
 def test_given_a_network_beside_recorded_estimates_then_they_are_compared_frame_by_frame(scored):
-    drive = Drive(more=heard(OURS, ours) + heard(VECTOR, in_feet, topic='/other', bias=(1, 0)))
+    drive = Drive(seconds=30, more=heard(OURS, ours, seconds=30) + heard(
+        VECTOR, in_feet, topic='/other', bias=(1, 0), seconds=30))
     found = scored(drive, perception='/seen', against='see')
     assert errors(found, 1) == pytest.approx((0, 0), abs=1e-3)
     assert found.slices[0].better['cte'].low > 0.3
+    assert {one.frames for one in found.slices[0].errors['cte']} == {301}
     for more in ({}, {'keep': images}):
         found = scored(drive, perception='/seen', against='/other:-vector.y=ft,vector.z=deg',
                        **more)
-        assert errors(found)[0] == pytest.approx(0.5, abs=0.03)
-        assert errors(found, 1)[0] == pytest.approx(1.0, abs=0.03)
+        assert errors(found)[0] == pytest.approx(0.5, abs=0.04)
+        assert errors(found, 1)[0] == pytest.approx(1.0, abs=0.04)
 
 
 @pytest.mark.parametrize(('word', 'line'), [
@@ -241,8 +249,7 @@ def test_given_a_run_of_ours_without_pictures_then_its_estimates_are_scored_as_i
     page = (tmp_path / 'found/score.html').read_text()
     assert '/perception/tracking_error' in page
     assert 'Worst frames of' in page
-    code, out, _ = taxinet(*words)
-    assert out.startswith('/perception/tracking_error: mean absolute error')
+    assert found['sentences'][0].startswith('/perception/tracking_error: mean absolute error')
     for more, line in (
         ('--simulate', 'are not of rendered frames; name their network'),
         ('--dataset=images', '--dataset: without pictures it has no effect'),
