@@ -7,12 +7,14 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from bag_edits import GOLDEN
 from rosbags.typesys import get_types_from_msg
 from synthetic import BEGUN_NS, PERIOD_NS, TYPES, Drive, header, make, path
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import message_definition
 from taxinet_ros.errors import UsageError
+from taxinet_ros.recordings.frames import proposals
 
 OURS, VECTOR = 'taxinet_msgs/msg/TrackingError', 'geometry_msgs/msg/Vector3Stamped'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
@@ -229,20 +231,15 @@ def test_given_pictures_that_cannot_be_read_then_the_line_says_how_to_do_without
 def test_given_a_run_of_ours_without_pictures_then_its_estimates_are_scored_as_it_judged_them(
     taxinet, tmp_path
 ):
-    code, *_ = taxinet(
-        'run', 'nominal', '--engine', 'loop', '--images', 'none', '--set', 'duration=5',
-        '--perception', 'original', '--out', 'ours', '--runs', '1', '--exit-zero')
-    assert code == 0
-    bag = next((tmp_path / 'ours').glob('nominal-*'))
-    code, out, _ = taxinet('score', '--topics', bag)
-    assert any(line.split()[0] == '/perception/tracking_error' and line.endswith('--perception')
-               for line in out.splitlines())
+    bag = GOLDEN / 'taxinet-midday'
+    uses = {row['topic']: row['use'] for row in proposals(bag)}
+    assert uses['/perception/tracking_error'] == '--perception'
     words = 'score', bag, '--perception', '/perception/tracking_error'
     code, out, err = taxinet(*words, '--out', 'found', '--json')
     assert (code, err) == (0, '')
     found, run = json.loads(out), open_recording(bag)
     off = (run.trace['est_cte_m'] - run.trace['cte_m']).abs()
-    assert found['frames'] == len(run.trace) == 51
+    assert found['frames'] == len(run.trace) == 121
     assert found['cte_mae_m'] == pytest.approx(off.mean(), rel=1e-12)
     table = pd.read_parquet(tmp_path / 'found/frames.parquet')
     assert table['est_cte_m'].tolist() == run.trace['est_cte_m'].tolist()
