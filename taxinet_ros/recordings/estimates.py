@@ -21,7 +21,7 @@ from taxinet_ros.bag.run.message_values import error_of
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.core.units import ANGLE, LENGTH, UNITS, in_si, kind_words
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.recordings.reader import TRACKING_ERROR, Recording, stamp_of
 
 # The name of a file has a dot, the name of a topic has none.
@@ -86,9 +86,10 @@ class RecordedEstimates(Perception):
         """
         kind = recording.types.get(self.topic)
         if kind is None:
-            listed = ', '.join(recording.of_type((TRACKING_ERROR,))) or f'none of {TRACKING_ERROR}'
-            raise UsageError(f'{recording.path}: {self.topic} is not in it; estimates are on '
-                             f'{listed}; taxinet score --topics lists all topics')
+            near = near_miss(self.topic, recording.types)
+            raise UsageError(
+                f'{recording.path}: no such topic: {self.topic} is not in it{near}; taxinet score '
+                '--topics lists its topics')
         rows: list[tuple[float, ...]] = []
         for _, log_ns, message in recording.decoded((self.topic,)):
             if not rows:
@@ -97,27 +98,23 @@ class RecordedEstimates(Perception):
             rows.append((stamp_ns, log_ns, *self._values(message, kind)))
         found = pd.DataFrame(rows, columns=['stamp_ns', 'logged_ns', 'cte_m', 'he_rad'])
         if not np.isfinite(found['cte_m']).any():
-            raise UsageError(
-                f'{recording.path}: {self.word}: {len(found)} messages, none with an estimate')
+            wrong = next((
+                f'{".".join(field.path)} is no number of it; those are {_listed(message)}'
+                for field in self.fields if rows and _value(message, field.path) is None
+            ), f'{len(found)} messages, none with an estimate')
+            raise UsageError(f'{recording.path}: {self.topic}, a {kind}: {wrong}')
         return found.astype({'stamp_ns': np.int64, 'logged_ns': np.int64})
 
     def _check(
         self, recording: Recording, kind: str, message: Any, pictures: bool, by_log: bool
     ) -> None:
-        """Refuse a type without the fields, or without a stamp where one is needed."""
+        """Refuse a type whose fields are not named, or without a stamp where one is needed."""
         begun = f'{recording.path}: {self.topic} is a {kind}'
-        numbers = list(islice(_numbers(message), _LISTED + 1))
-        listed = ', '.join(numbers[:_LISTED]) + (', …' if len(numbers) > _LISTED else '')
         if not self.fields and kind != TRACKING_ERROR:
             raise UsageError(
                 f'{begun}: name its cross-track and heading error with their units, left positive '
                 f'(a minus before a field turns it), {self.topic}:{_FORM}; its numbers are '
-                f'{listed or "none"}')
-        for field in self.fields:
-            if _value(message, field.path) is None:
-                raise UsageError(
-                    f'{begun}: {".".join(field.path)} is no number of it; those are '
-                    f'{listed or "none"}')
+                f'{_listed(message)}')
         if hasattr(message, 'header') or (by_log and not pictures):
             return
         raise UsageError(
@@ -207,6 +204,12 @@ def _members(value: Any) -> Iterator[tuple[str, Any]]:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _listed(message: Any) -> str:
+    """The numbers of a message by their names, as far as a line takes them."""
+    names = list(islice(_numbers(message), _LISTED + 1))
+    return (', '.join(names[:_LISTED]) or 'none') + (', …' if len(names) > _LISTED else '')
 
 
 def _numbers(value: Any, before: str = '') -> Iterator[str]:

@@ -102,10 +102,12 @@ def test_given_recorded_estimates_then_their_bias_and_noise_are_found_whenever_t
 def test_given_late_pictures_then_recorded_estimates_tell_their_latency(scored):
     late = Drive(late_s=0.25, noise_m=0.1, more=heard(
         OURS, ours, noise=LITTLE, stamp=lambda ns: ns + 250_000_000))
-    found = scored(late, perception='/seen', latency='estimated')
-    assert found.latency.value_s == pytest.approx(0.25, abs=0.03)
-    assert found.latency.low_s < 0.25 < found.latency.high_s
-    assert errors(found) == pytest.approx((0.5, 2.0), abs=0.04)
+    # They belong to pictures by the headers' stamps also where the times of recording count.
+    for more in ({}, {'by_log': True}):
+        found = scored(late, perception='/seen', latency='estimated', **more)
+        assert found.latency.value_s == pytest.approx(0.25, abs=0.03)
+        assert found.latency.low_s < 0.25 < found.latency.high_s
+        assert errors(found) == pytest.approx((0.5, 2.0), abs=0.04)
 
 
 def test_given_a_short_drive_then_the_line_says_that_it_is_the_path_and_what_would_tell(scored):
@@ -155,6 +157,16 @@ def test_given_estimates_that_are_missing_invalid_or_strange_then_each_is_counte
     assert errors(found)[0] == pytest.approx(0.5, abs=0.03)
 
 
+def test_given_arrays_that_are_empty_where_nothing_was_seen_then_these_are_counted(scored):
+    more = heard(ARRAY, lambda ns, cte, he: array(cte, he), seconds=5)
+    more[0] = (*more[0][:2], array(), more[0][3])
+    found = scored(Drive(seconds=5, more=more), perception='/seen:data.0=m,data.1=rad',
+                   by_log=True, keep=images)
+    assert [note.partition('/seen: ')[2] for note in found.notes] == [
+        '1 estimates are not valid, or no numbers']
+    assert found.slices[0].errors['cte'][0].frames == 50
+
+
 def test_given_a_network_beside_recorded_estimates_then_they_are_compared_frame_by_frame(scored):
     drive = Drive(seconds=30, more=heard(OURS, ours, seconds=30) + heard(
         VECTOR, in_feet, topic='/other', bias=(1, 0), seconds=30))
@@ -181,7 +193,7 @@ def test_given_a_wrong_unit_or_sign_then_a_line_names_it(scored, word, line):
 
 
 REFUSED = {
-    'another topic': ('/unseen', {}, '/unseen is not in it; estimates are on /seen'),
+    'another topic': ('/sen', {}, '/sen is not in it; did you mean /seen.; taxinet score --topics'),
     'another type': (
         '/feet', {}, r'/feet is a geometry_msgs/msg/Vector3Stamped: name its .* left positive .*, '
         r'/feet:FIELD=m,FIELD=rad; its numbers are vector.x, vector.y, vector.z$'),
@@ -199,7 +211,7 @@ REFUSED = {
     'stamps of publishing': (
         '/published', {}, r'none of 51 estimates has the stamp of one of 51 pictures on /cam \(the '
         r'nearest is \+0.030 s off\): .* --image none'),
-    'no estimate': ('/invalid', {}, '/invalid: 51 messages, none with an estimate'),
+    'no estimate': ('/invalid', {}, 'TrackingError: 51 messages, none with an estimate'),
     'a camera without pictures': (
         '/seen', {'image': 'none', 'camera': 'wing'}, '--camera: without pictures it has no'),
     'a monitor without pictures': (
