@@ -30,6 +30,8 @@ _FIELD = re.compile(r'(-?)([A-Za-z]\w*(?:\.\w+)*)=(\S+)')
 _WANTED = ('cross-track', LENGTH), ('heading', ANGLE)
 _FORM = 'FIELD=m,FIELD=rad'
 _LISTED = 12
+_SAME_NS = 1_000
+"""Stamps that went through seconds as a float64 are off by a quarter of this."""
 
 
 class Field(NamedTuple):
@@ -148,28 +150,26 @@ def match(
     Raises:
         UsageError: none belongs to a frame.
     """
-    first = found.drop_duplicates('stamp_ns').set_index('stamp_ns')
-    own = first.index.to_numpy(np.int64)
-    hit = np.isin(stamps_ns, own)
+    first = found.drop_duplicates('stamp_ns').sort_values('stamp_ns')
+    own = first['stamp_ns'].to_numpy(np.int64)
+    after = np.clip(np.searchsorted(own, stamps_ns), 1, len(own) - 1)
+    near = np.where(stamps_ns - own[after - 1] <= own[after] - stamps_ns, after - 1, after)
+    off_ns = own[near] - stamps_ns
+    hit = np.abs(off_ns) <= _SAME_NS
     others = f'pictures on {image}' if image else 'estimates of the first topic'
     if not hit.any():
-        own = np.sort(own)
-        after = np.clip(np.searchsorted(own, stamps_ns), 1, max(len(own) - 1, 1))
-        near = np.stack([own[np.minimum(one, len(own) - 1)] - stamps_ns
-                         for one in (after - 1, after)])
-        off_s = np.take_along_axis(near, np.abs(near).argmin(axis=0)[None], axis=0) / NS_PER_S
         raise UsageError(
             f'{name}: none of {len(found)} estimates has the stamp of one of {len(stamps_ns)} '
-            f'{others} (the nearest is {np.median(off_s):+.3f} s off): who publishes estimates has '
-            'to copy the stamp of the picture' + ('; --image none compares them with the truth at '
-            'their own stamps' if image else ''))
-    lone, again = int((~np.isin(own, stamps_ns)).sum()), len(found) - len(first)
-    values = first[['cte_m', 'he_rad']].reindex(stamps_ns).to_numpy(np.float64)
+            f'{others} (the nearest is {np.median(off_ns) / NS_PER_S:+.3f} s off): who publishes '
+            'estimates has to copy the stamp of the picture' + (
+                '; --image none compares them with the truth at their own stamps' if image else ''))
+    values = first[['cte_m', 'he_rad']].to_numpy(np.float64)[near]
+    values[~hit] = math.nan
     counts = {
         f'{others} have no estimate': int((~hit).sum()),
-        f'estimates have the stamp of none of the {others}': lone,
+        f'estimates have the stamp of none of the {others}': len(own) - len(np.unique(near[hit])),
         'estimates are not valid, or no numbers': int(first['cte_m'].isna().sum()),
-        'estimates have the stamp of an earlier one and are not used': again,
+        'estimates have the stamp of an earlier one and are not used': len(found) - len(first),
     }
     return values, [f'{name}: {count} {words}' for words, count in counts.items() if count]
 

@@ -15,6 +15,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import message_definition
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import proposals
+from taxinet_ros.recordings.reader import stamp_of
 
 OURS, VECTOR = 'taxinet_msgs/msg/TrackingError', 'geometry_msgs/msg/Vector3Stamped'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
@@ -145,7 +146,7 @@ def test_given_estimates_that_are_missing_invalid_or_strange_then_each_is_counte
     more[1] = (*more[1][:2], ours(BEGUN_NS + PERIOD_NS, math.nan, 0.0), more[1][3])
     again = BEGUN_NS + 5 * PERIOD_NS
     more.append(('/seen', OURS, ours(again, 99.0, 0.0), again + 10**9))
-    more.append(('/seen', OURS, ours(again + 1, 99.0, 0.0), again + 10**9))
+    more.append(('/seen', OURS, ours(again + 50_000, 99.0, 0.0), again + 10**9))
     found = scored(Drive(more=more), perception='/seen')
     assert [note.partition('/seen: ')[2] for note in found.notes] == [
         '20 pictures on /cam have no estimate',
@@ -155,6 +156,20 @@ def test_given_estimates_that_are_missing_invalid_or_strange_then_each_is_counte
     ]
     assert found.slices[0].errors['cte'][0].frames == 579
     assert errors(found)[0] == pytest.approx(0.5, abs=0.03)
+
+
+def test_given_stamps_that_went_through_seconds_then_they_are_those_of_the_pictures(scored):
+    sent = heard(OURS, ours, seconds=5, stamp=lambda ns: (
+        ns // 10**9 * 10**9 + int(ns / 1e9 % 1 * 1e9)))
+    assert sum(stamp_of(one[2]) % 1000 != 0 for one in sent) > 30
+    found = scored(Drive(seconds=5, more=sent), perception='/seen')
+    assert found.notes == []
+    assert found.slices[0].errors['cte'][0].frames == 51
+
+
+def test_given_an_estimate_alone_then_it_belongs_to_its_picture(scored):
+    found = scored(Drive(seconds=5, more=heard(OURS, ours, seconds=5)[3:4]), perception='/seen')
+    assert np.flatnonzero(np.isfinite(found.table['est_cte_m'])).tolist() == [3]
 
 
 def test_given_arrays_that_are_empty_where_nothing_was_seen_then_these_are_counted(scored):
