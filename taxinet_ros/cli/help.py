@@ -76,6 +76,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet score --topics drive',
         'taxinet score drive --place kmwh_04 --image /camera/image_raw --truth /fix --heading /imu',
         'taxinet score drive --place mine.yaml --perception mine.onnx --against taxinet --out out',
+        'taxinet score drive --place mine.yaml --perception /lane:-vector.y=ft,vector.z=deg',
     ),
     'dataset': ('taxinet dataset training_full --count 5000 --out bags/pictures',),
     'train': (

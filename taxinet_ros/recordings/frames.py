@@ -28,12 +28,14 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import ODOMETRY
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.errors import UsageError
+from taxinet_ros.recordings.estimates import RecordedEstimates, match, names_topic
 from taxinet_ros.recordings.reader import (
     CAMERA_INFO,
     FIX,
     HEADINGS,
     IMAGES,
     SCENARIO,
+    TRACKING_ERROR,
     TRUTHS,
     Recording,
     picture,
@@ -80,9 +82,9 @@ class Setup:
     Attributes:
         place: where the aircraft was.
         track: line that errors are measured from.
-        image: topic of the pictures.
+        image: topic of the pictures; '' if recorded estimates themselves are the frames.
         source: of the truth.
-        networks: words or files of one or two networks.
+        networks: words or files of one or two networks, or topics of recorded estimates.
         rig: camera and aircraft; None if unknown.
     """
 
@@ -93,6 +95,11 @@ class Setup:
     networks: tuple[str, ...]
     rig: Rig | None = None
 
+    @property
+    def frames_topic(self) -> str:
+        """Topic of what is compared with the truth, frame by frame."""
+        return self.image or RecordedEstimates(self.networks[0]).topic
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frames:
@@ -100,6 +107,7 @@ class Frames:
 
     Attributes:
         recording: the bag.
+        topic: of the frames.
         seen: a row a frame: when it was taken and recorded, its mean grey level, NaN without a
             picture, and the networks' estimates [m], [rad], NaN where there is none.
         truth: of the bag.
@@ -107,6 +115,7 @@ class Frames:
     """
 
     recording: Recording
+    topic: str
     seen: pd.DataFrame
     truth: Truth
     notes: list[str]
@@ -118,8 +127,8 @@ class Frames:
 
     @cached_property
     def leap(self) -> Leap:
-        """Leap of the clock of the pictures."""
-        return find_leap('pictures', self.stamps_ns.tolist(), self.seen['logged_ns'].tolist())
+        """Leap of the clock of the frames."""
+        return find_leap(self.topic, self.stamps_ns.tolist(), self.seen['logged_ns'].tolist())
 
 
 def own_scenario(recording: Recording) -> Scenario | None:
@@ -164,16 +173,23 @@ def resolved_source(source: TruthSource, recording: Recording, own: bool) -> Tru
 def read_frames(
     recording: Recording, setup: Setup, perceptions: Sequence[Perception], progress: Progress
 ) -> Frames:
-    """Show every picture of a bag to the networks, and collect the truth beside it.
+    """Show every picture of a bag to the networks, and collect truth and recorded estimates.
 
     Raises:
-        UsageError: there is no truth, or the pictures do not fit the camera.
+        UsageError: there is no truth, the pictures do not fit the camera, or estimates no picture.
     """
+    by_log = setup.source.by_log
     reader = TruthReader(setup.source, recording, setup.place.runway)
-    recording.topic(setup.image, IMAGES, '--image')
+    if setup.image:
+        recording.topic(setup.image, IMAGES, '--image')
+    recorded = {
+        number: one.read(recording, bool(setup.image), by_log)
+        for number, one in enumerate(perceptions) if isinstance(one, RecordedEstimates)
+    }
     infos = set(recording.of_type((CAMERA_INFO,)))
     unread, cameras, notes = Counter[str](), Counter[str](), dict[str, None]()
     rows: list[tuple[float, ...]] = []
+    headers: list[int] = []
     every = slice(None, None, _BRIGHTNESS_EVERY)
     for topic, log_ns, message in recording.decoded({setup.image, *reader.topics, *infos}):
         if topic in reader.topics:
@@ -182,7 +198,7 @@ def read_frames(
             notes |= dict.fromkeys(_info_notes(topic, message, setup.rig))
         else:
             cameras[message.header.frame_id] += 1
-            stamp_ns = log_ns if setup.source.by_log else stamp_of(message)
+            headers.append(stamp_of(message))
             bright, estimates = math.nan, [math.nan] * (2 * len(perceptions))
             try:
                 pixels = picture(message)
@@ -191,7 +207,7 @@ def read_frames(
             else:
                 bright = float(pixels[every, every].mean())
                 estimates = list(estimates_of(pixels, perceptions, setup.rig))
-            rows.append((stamp_ns, log_ns, bright, *estimates))
+            rows.append((log_ns if by_log else headers[-1], log_ns, bright, *estimates))
             progress('frames', len(rows), recording.counts[setup.image])
     if len(cameras) > 1:
         listed = ', '.join(
@@ -199,22 +215,38 @@ def read_frames(
         notes[f'{setup.image}: pictures of two cameras on one topic: {listed}'] = None
     columns = [f'{name}{end}' for end in ENDS[:len(perceptions)]
                for name in ('est_cte_m', 'est_he_rad')]
+    if not setup.image:
+        headers = recorded[0]['stamp_ns'].tolist()
+        logged = recorded[0]['logged_ns'].tolist()
+        nothing = [math.nan] * (1 + len(columns))
+        rows = [(stamp_ns, log_ns, *nothing) for stamp_ns, log_ns in zip(
+            logged if by_log else headers, logged, strict=True)]
     seen = pd.DataFrame(rows, columns=['stamp_ns', 'logged_ns', 'brightness', *columns])
+    for number, found in recorded.items():
+        values, lines = match(
+            found, np.array(headers, np.int64), setup.networks[number].partition(':')[0],
+            setup.image)
+        seen[columns[2 * number:2 * number + 2]] = values
+        notes |= dict.fromkeys(lines)
+    aside = '; --image none does without pictures' if len(recorded) == len(perceptions) else ''
     return Frames(
-        recording=recording, seen=seen.astype({'stamp_ns': np.int64, 'logged_ns': np.int64}),
-        truth=reader.finish(),
-        notes=[*notes, *(note.format(count) for note, count in unread.most_common(3))],
+        recording=recording, topic=setup.frames_topic, truth=reader.finish(),
+        seen=seen.astype({'stamp_ns': np.int64, 'logged_ns': np.int64}),
+        notes=[*notes, *(note.format(count) + aside for note, count in unread.most_common(3))],
     )
 
 
 def prepared(networks: Sequence[str], rig: Rig | None) -> list[Perception]:
-    """The networks, ready for pictures of a rig.
+    """The networks, ready for pictures of a rig, and recorded estimates.
 
     Raises:
         UsageError: one uses no pictures, or needs to know the camera.
     """
-    perceptions = []
+    perceptions: list[Perception] = []
     for word in networks:
+        if names_topic(word):
+            perceptions.append(RecordedEstimates(word))
+            continue
         one = image_perception(word)
         if rig is None and getattr(one, 'view', None) is not None:
             raise UsageError(
@@ -305,7 +337,7 @@ def frame_table(frames: Frames, setup: Setup, latency_s: float = 0.0) -> pd.Data
         table[f'est_cte_m{end}'] = seen[f'est_cte_m{end}']
         table[f'est_heading_error_deg{end}'] = seen_deg
         table[f'cte_error_m{end}'] = seen[f'est_cte_m{end}'] - table['cte_m']
-        table[f'heading_error_error_deg{end}'] = np.remainder(
+        table[f'he_error_deg{end}'] = np.remainder(
             seen_deg - table['heading_error_deg'] + 180, 360) - 180
     return table
 
@@ -319,7 +351,7 @@ def _statuses(
     off = (np.abs(cte) > track.half_width_m + _BESIDE_M) | (distance < -_BEYOND_M) | (
         distance > track.length_m + _BEYOND_M)
     cases = {
-        NO_PICTURE: np.isnan(frames.seen['brightness']),
+        NO_PICTURE: np.isnan(frames.seen['brightness']) & bool(setup.image),
         AFTER_LEAP: np.arange(len(cte)) >= frames.leap.number,
         OUT_OF_ORDER: ~in_order(frames.stamps_ns), NO_TRUTH: np.isnan(cte), OFF_PLACE: off,
         STANDING: speed < STANDING_MPS, NO_HEADING: np.isnan(heading),
@@ -349,14 +381,14 @@ def dated(stamps_ns: NDArray[np.int64]) -> bool:
     return len(stamps_ns) > 0 and bool(stamps_ns[0] >= _DATED_NS)
 
 
-def time_notes(frames: Frames, image: str) -> list[str]:
-    """Likely mistakes in the times of pictures and truth, one line each."""
+def time_notes(frames: Frames, truth: str) -> list[str]:
+    """Likely mistakes in the times of frames and truth, a topic, one line each."""
     notes = [frames.leap.note] if frames.leap.note else []
     own, stamps = frames.truth.stamps_ns, frames.stamps_ns
     if not len(stamps) or not len(own):
         return notes
     if not stamps.any():
-        return [*notes, f'{image}: its headers have no stamps; use the times of recording '
+        return [*notes, f'{frames.topic}: its headers have no stamps; use the times of recording '
                 '(--stamps log)']
     apart_s = max(int(own[0] - stamps[-1]), int(stamps[0] - own[-1])) / NS_PER_S
     if apart_s <= 0:
@@ -369,8 +401,8 @@ def time_notes(frames: Frames, image: str) -> list[str]:
         why = f'{hours:+g} h: a time zone in one of the clocks'
     else:
         why = f'{shift_s:+.1f} s between their beginnings: clocks that were not synchronised'
-    return [*notes, f'pictures and truth do not overlap in time ({why}); use the times of '
-            'recording (--stamps log)']
+    return [*notes, f'{frames.topic} and {truth} do not overlap in time ({why}); use the '
+            'times of recording (--stamps log)']
 
 
 def place_notes(table: pd.DataFrame, setup: Setup) -> list[str]:
@@ -415,7 +447,7 @@ def proposals(path: Path) -> list[dict[str, Any]]:
     """Topic, type, number of messages and use of all topics of a bag, the most frequent first."""
     recording = Recording(path)
     uses = {'--image': IMAGES, '--truth': TRUTHS, '--heading': HEADINGS,
-            'checks --camera': (CAMERA_INFO,)}
+            '--perception': (TRACKING_ERROR,), 'checks --camera': (CAMERA_INFO,)}
     return [
         {'topic': name, 'type': kind, 'messages': count,
          'use': ', '.join(use for use, types in uses.items() if kind in types)}

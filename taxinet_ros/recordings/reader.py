@@ -33,12 +33,13 @@ IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 FIX, IMU = 'sensor_msgs/msg/NavSatFix', 'sensor_msgs/msg/Imu'
 ODOMETRY, POSE = 'nav_msgs/msg/Odometry', 'geometry_msgs/msg/PoseStamped'
 TRANSFORMS, CAMERA_INFO = 'tf2_msgs/msg/TFMessage', 'sensor_msgs/msg/CameraInfo'
-SCENARIO = 'taxinet_msgs/msg/Scenario'
+SCENARIO, TRACKING_ERROR = 'taxinet_msgs/msg/Scenario', 'taxinet_msgs/msg/TrackingError'
 IMAGES = IMAGE, COMPRESSED
 TRUTHS = FIX, ODOMETRY, POSE, TRANSFORMS
 HEADINGS = IMU, ODOMETRY, POSE
 
 _DAMAGE = (ReaderError, OSError, sqlite3.Error, ValueError, LookupError, zlib.error, EOFError)
+_NAMED = 3
 _CHANNELS = {
     'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8UC1': 1, '8UC3': 3,
     'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1,
@@ -77,6 +78,11 @@ class Recording:
         self.types: dict[str, str] = {}
         if not path.exists():
             raise UsageError(f'{path}: no such bag; name the folder of a rosbag2, or its file')
+        if path.is_dir() and not _holds_bag(path) and (
+                bags := [str(one) for one in sorted(path.glob('*/')) if _holds_bag(one)]):
+            more = ' …' if len(bags) > _NAMED else ''
+            raise UsageError(f'{path}: is no recording, but a folder with {len(bags)}; name one or '
+                             f'several of the same aircraft: {" ".join(bags[:_NAMED])}{more}')
         self._foreign = _needs_rosbags(path)
         if self._foreign:
             self._list_foreign()
@@ -174,6 +180,10 @@ class Recording:
                     yield StoredMessage(topic, stamp_ns, bytes(data), stamp_ns)
         except _DAMAGE as error:
             raise BagCorrupt(f'{self.path}: damaged: {_line(error)}', path=self.path) from error
+
+
+def _holds_bag(folder: Path) -> bool:
+    return any(folder.glob('*.mcap*')) or any(folder.glob('*.db3*'))
 
 
 def _needs_rosbags(path: Path) -> bool:

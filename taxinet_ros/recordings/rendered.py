@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.camera.light import sun_position
 from taxinet_ros.core.motion.aircraft import measured_model
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
 from taxinet_ros.core.types import NS_PER_S, AircraftState
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import dated, estimates_of, local_time, prepared
@@ -24,6 +26,8 @@ _RAIN = re.compile(r'([-+]?)(?:VC|SH|TS|FZ|DZ)*(RA|DZ)(?:[A-Z]{2})*')
 _UNSHOWN = re.compile(r'[-+]?(?:VC|BL|DR|FZ|MI|BC|PR|SH|TS)*(SN|SG|FG|BR|HZ|DU|SA|FU|GR|GS|PL|IC)+')
 _CLEAR = {'CAVOK', 'SKC', 'CLR', 'NSC', 'NCD'}
 _RAIN_PERCENT = {'-': 20.0, '': 50.0, '+': 90.0}
+_DUSK_RAD, _BRIGHT = math.radians(-6), 60
+"""Elevation of the sun below which it is night, and mean grey level that night does not have."""
 _HIGH, _LOW = 200, 10
 """Bases of clouds [100 ft] from which they are cirrus, and below which an overcast is stratus."""
 
@@ -90,6 +94,20 @@ def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
     return scenario_from_human({**kept, **offsets, **values, **settings})
 
 
+def _night_notes(scenario: Scenario, brightness: float) -> list[str]:
+    """A line if it is night in our world, but not in the recorded pictures."""
+    _, elevation_rad = sun_position(scenario.date, scenario.time_of_day_s, scenario.runway)
+    if elevation_rad > _DUSK_RAD or brightness < _BRIGHT:
+        return []
+    clock = clock_words(scenario.time_of_day_s / 3600)
+    return [
+        f'--simulate: on {scenario.date} at {clock} the sun is '
+        f'{-math.degrees(elevation_rad):.0f} deg below the horizon, but the recorded pictures are '
+        f'bright (mean grey {brightness:.0f}): stamps in local time instead of UTC, the '
+        'time_zone of the place, or the date; give what it was, --set time_of_day=HH:MM --set '
+        'date=YYYY-MM-DD']
+
+
 def render_beside(found: Score, scenario: Scenario) -> None:
     """Render the poses of up to :data:`MOST_FRAMES` scored frames; show them to the network.
 
@@ -120,7 +138,8 @@ def render_beside(found: Score, scenario: Scenario) -> None:
     table['rendered_est_heading_error_deg'] = np.degrees(seen[:, 1])
     beside = table.iloc[rows].copy()
     for quantity, name in (('cte_error_m', 'cte_m'),
-                           ('heading_error_error_deg', 'heading_error_deg')):
+                           ('he_error_deg', 'heading_error_deg')):
         beside[f'{quantity}_2'] = beside[f'rendered_est_{name}'] - beside[name]
     found.start, found.gap = scenario, sliced(beside, 2)[0]
+    found.notes += _night_notes(scenario, float(beside['brightness'].median()))
     found.pairs = {row: (pixels, shown[row]) for row, pixels in row_pictures(found, chosen)}

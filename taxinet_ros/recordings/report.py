@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 from functools import partial
 from pathlib import Path
@@ -28,12 +28,14 @@ from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
+from taxinet_ros.recordings.estimates import names_topic
 from taxinet_ros.recordings.frames import ENDS
 from taxinet_ros.recordings.score import (
     NOTABLE_LATENCY_S,
     QUANTITIES,
     Score,
     Slice,
+    relative_errors,
     row_pictures,
 )
 from taxinet_ros.recordings.score import Picture as Pixels
@@ -45,18 +47,13 @@ _COLUMNS = 4
 
 def score_report(found: Score) -> Report:
     """Report on a score."""
-    networks, at = list(found.networks), found.table.to_dict('index')
-    pictures = dict(row_pictures(found, found.worst))
-    worst = [(pictures[row], f'{at[row]["t_s"]:.1f} s: {at[row]["cte_m"]:+.1f} m, '
-              f'{at[row]["est_cte_m"]:+.1f} m') for row in found.worst if row in pictures]
+    networks, at = [shown_name(word) for word in found.networks], found.table.to_dict('index')
     pairs = [(pair[number], f'{at[row][f"{which}est_cte_m"]:+.1f} m')
              for number, which in enumerate(('', 'rendered_')) for row, pair in found.pairs.items()]
     figures: dict[str, Sequence[Picture | Table]] = {
         'errors': (slice_table(found.slices, networks, 'score-errors'),),
         'path': tuple(_path_picture(found, quantity) for quantity in QUANTITIES),
-        'worst': (
-            _grid('score-frames', 'Pictures', 'Above each: time, and cross-track error true and '
-                  'estimated.', worst, _COLUMNS), _worst_table(found)) if worst else (),
+        'worst': tuple(_worst_frames(found)),
         'rendered': (
             _grid('score-rendered', 'Recorded (above) and rendered (below)', 'The same poses; '
                   'above each the estimated cross-track error.', pairs, len(found.pairs)),
@@ -66,13 +63,19 @@ def score_report(found: Score) -> Report:
     return fill_report(TEXT, {
         's': found, 'e': found.slices[0].errors, 'networks': networks,
         'comparison': found.slices[0].better, 'notable': NOTABLE_LATENCY_S,
-        'means': {word: [
+        'means': [[
             float(found.table.loc[found.scored, f'{column}{end}'].mean())
             for _, _, column in QUANTITIES.values()
-        ] for word, end in zip(networks, ENDS, strict=False)},
+        ] for end in ENDS[:len(networks)]],
         'names': {name: words for name, (words, _, _) in QUANTITIES.items()},
-        'judged': judged_words(found), 'worst': bool(worst),
+        'judged': judged_words(found), 'worst': any(found.worst),
     }, figures)
+
+
+def shown_name(word: str) -> str:
+    """A topic or name; of a file its name, as where that lies says nothing on other machines."""
+    path = Path(word)
+    return path.name if path.is_absolute() and not names_topic(word) else word
 
 
 def judged_words(found: Score) -> dict[str, str]:
@@ -138,7 +141,7 @@ def slice_table(slices: Sequence[Slice], names: Sequence[str], name: str) -> Tab
                Column(name='frames', title='frames')]
     for number, word in enumerate(names, start=1):
         for quantity, (words, unit, _) in QUANTITIES.items():
-            title = f'{words} [{unit}], {Path(word).name}'
+            title = f'{words} [{unit}], {word}'
             columns += [
                 Column(name=f'{quantity}_mae_{unit}_{number}', title=title, decimals=2),
                 Column(name=f'{quantity}_low_{number}', title='from', decimals=2),
@@ -166,15 +169,35 @@ def _verdict_table(found: Score) -> Table:
         ), rows=tuple((Path(one.bag).name, *astuple(one)[1:6]) for one in found.verdicts))
 
 
-def _worst_table(found: Score) -> Table:
-    names = ('t_s', 'distance_m', 'cte_m', 'est_cte_m', 'heading_error_deg',
-             'est_heading_error_deg', 'brightness')
-    return Table(
-        name='score-worst', title='The worst frames', caption='Left positive.',
-        columns=(Column(name='bag', title='bag'), *(
-            Column(name=name, title=name.replace('_', ' '), decimals=2) for name in names)),
-        rows=tuple((Path(bag).name, *numbers) for bag, *numbers in found.table.loc[
-            found.worst, ['bag', *names]].itertuples(index=False)))
+def _worst_frames(found: Score) -> Iterator[Picture | Table]:
+    """Pictures and table of the worst frames of each network."""
+    pictures = dict(row_pictures(found, sorted({row for rows in found.worst for row in rows})))
+    for word, end, rows in zip(found.networks, ENDS, found.worst, strict=False):
+        title = f'Worst frames of {shown_name(word)}'
+        captions = [(pictures[row], _worst_words(found, row, end)) for row in rows
+                    if row in pictures]
+        if captions:
+            yield _grid(
+                f'score-frames{end}', title, 'Above each: time, and what is furthest off for this '
+                'network, true and estimated.', captions, _COLUMNS)
+        names = ('t_s', 'distance_m', 'cte_m', f'est_cte_m{end}', 'heading_error_deg',
+                 f'est_heading_error_deg{end}', 'brightness')
+        yield Table(
+            name=f'score-worst{end}', title=title, caption='Left positive.',
+            columns=(Column(name='bag', title='bag'), *(
+                Column(name=name, title=name.removesuffix(end).replace('_', ' '), decimals=2)
+                for name in names)),
+            rows=tuple((Path(bag).name, *numbers) for bag, *numbers in found.table.loc[
+                list(rows), ['bag', *names]].itertuples(index=False)))
+
+
+def _worst_words(found: Score, row: int, end: str) -> str:
+    """Time, and the quantity that made a frame one of the worst, true and estimated."""
+    quantity = str(relative_errors(found.table, end).loc[row].idxmax())
+    words, unit, _ = QUANTITIES[quantity]
+    name = {'cte': 'cte_m', 'heading': 'heading_error_deg'}[quantity]
+    at: Any = found.table.loc[row]
+    return f'{at["t_s"]:.1f} s: {words} {at[name]:+.1f}, {at[f"est_{name}{end}"]:+.1f} {unit}'
 
 
 def _path_picture(found: Score, quantity: str) -> Picture:
@@ -196,7 +219,7 @@ def _draw_path(found: Score, quantity: str, figure: Figure, theme: Theme) -> Non
     axes.plot(t_s, kept[name], color=theme.ink, linewidth=1.6, label='truth')
     for number, word in enumerate(found.networks):
         axes.plot(t_s, kept[f'est_{name}{ENDS[number]}'], '.', markersize=2.5,
-                  label=Path(word).name, color=(theme.failed, theme.passed)[number])
+                  label=shown_name(word), color=(theme.failed, theme.passed)[number])
     axes.set_xlabel('time [s]')
     axes.set_ylabel(f'{QUANTITIES[quantity][0]} error [{QUANTITIES[quantity][1]}]')
     style_axes(axes)

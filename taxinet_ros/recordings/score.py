@@ -32,6 +32,7 @@ from taxinet_ros.core.trace import trace_signals
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import UsageError
+from taxinet_ros.recordings.estimates import RecordedEstimates, names_topic
 from taxinet_ros.recordings.frames import (
     AFTER_LEAP,
     ENDS,
@@ -66,9 +67,10 @@ from taxinet_ros.trials.requirements import read_specs
 
 DEFAULT_SPECS = 'phi_always', 'phi_eventually'
 ESTIMATED = 'estimated'
+NO_IMAGE = 'none'
 WORST = 8
 QUANTITIES = {'cte': ('cross-track', 'm', 'cte_error_m'),
-              'heading': ('heading', 'deg', 'heading_error_error_deg')}
+              'heading': ('heading', 'deg', 'he_error_deg')}
 
 _LONGEST_GAP_S = 0.5
 NOTABLE_LATENCY_S = 0.04
@@ -93,9 +95,11 @@ class ScoreOptions:
     Attributes:
         bags: recordings, each with its own truth.
         source: of the truth.
-        perception, against: networks; the second may be ''.
+        perception, against: networks, or topics of recorded estimates (:mod:`.estimates`); the
+            second may be ''.
         place, track: where; those of a run of ours by default.
-        image: topic of the pictures.
+        image: topic of the pictures, or :data:`NO_IMAGE`: recorded estimates count at their own
+            stamps.
         camera, aircraft: the rig; '' is unknown, except for a run of ours.
         latency: [s], or :data:`ESTIMATED`, or ''.
         specs: requirements on the recorded path.
@@ -175,7 +179,7 @@ class Score:
         mirrored: errors with the other sign, see :func:`.mirrored_errors`.
         notes: likely mistakes and limits, one line each.
         scenario: of a run of ours, or None.
-        worst: rows of the largest errors, the worst first.
+        worst: rows of the largest errors of each network, the worst first.
         start: our scenario of how the recording began; None if it was not simulated.
         gap: errors on recorded and on rendered frames of the same poses, as of two networks; empty
             if it was not simulated.
@@ -195,7 +199,7 @@ class Score:
     alarms: Mapping[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
     scenario: Scenario | None = None
-    worst: list[int] = field(default_factory=list)
+    worst: Sequence[Sequence[int]] = ()
     start: Scenario | None = None
     gap: Sequence[Slice] = ()
     pairs: Mapping[int, tuple[Picture, Picture]] = field(default_factory=dict)
@@ -259,7 +263,8 @@ def score(
     mirrored = mirrored_errors(estimates, truth)
     found = Score(
         setup=setup, bags=bags, table=table, slices=slices, alike=alike, latency=latency,
-        applied_s=applied_s, mirrored=mirrored, scenario=scenario, worst=worst_rows(table),
+        applied_s=applied_s, mirrored=mirrored, scenario=scenario,
+        worst=[worst_rows(table, end) for end in ENDS[:len(perceptions)]],
         networks={word: one.fingerprint for word, one in zip(
             setup.networks, perceptions, strict=True)},
         verdicts=[one for spec in specs for one in path_verdicts(table, spec)],
@@ -296,9 +301,15 @@ def make_setup(
     networks = (options.perception, *filter(None, (options.against,)))
     if len(set(networks)) < len(networks):
         raise UsageError(f'--against {options.against}: is --perception itself; name another')
+    image, blind = '', all(map(names_topic, networks))
+    if not (blind and options.image in ('', NO_IMAGE) and (
+            options.image or not recording.of_type(IMAGES))):
+        image = recording.topic(options.image, IMAGES, '--image')
+    elif options.camera or options.monitor:
+        raise UsageError(
+            f'--{"camera" if options.camera else "monitor"}: without pictures it has no effect')
     return Setup(
-        place=place, track=track, rig=rig, networks=networks,
-        image=recording.topic(options.image, IMAGES, '--image'),
+        place=place, track=track, rig=rig, networks=networks, image=image,
         source=resolved_source(options.source, recording, scenario is not None),
     )
 
@@ -330,8 +341,9 @@ def _applied(given: str, latency: Latency) -> float:
 def _bag_notes(frames: Frames, table: pd.DataFrame, setup: Setup) -> Iterator[str]:
     name = frames.recording.path.name
     own = table[table['bag'] == str(frames.recording.path)]
-    notes = [*frames.truth.notes, *time_notes(frames, setup.image), *place_notes(own, setup)]
-    notes += frames.notes + ([frames.recording.note] if frames.recording.note else [])
+    notes = [*frames.truth.notes, *time_notes(frames, setup.source.topic_name)]
+    notes += place_notes(own, setup) + frames.notes
+    notes += [frames.recording.note] if frames.recording.note else []
     notes += [f'{setup.source.topic}: {count} samples left out: {why}' for why, count in
               frames.truth.left_out.items() if count]
     if frames.truth.spread_m > 0.25:
@@ -414,12 +426,18 @@ def _masks(kept: pd.DataFrame) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
                 yield kind, f'{low:g} to {high:g} {unit}', mask
 
 
-def worst_rows(table: pd.DataFrame) -> list[int]:
-    """Rows of the largest errors of the first network, a second apart or more."""
+def relative_errors(table: pd.DataFrame, end: str) -> pd.DataFrame:
+    """Errors of a network's scored frames by quantity, as multiples of their mean."""
     kept = table[table['status'] == SCORED]
-    size = sum(
-        (kept[column].abs() / max(float(kept[column].abs().mean()), 1e-9)
-         for _, _, column in QUANTITIES.values()), start=pd.Series(0.0, index=kept.index))
+    return pd.DataFrame({
+        quantity: kept[f'{column}{end}'].abs() / max(
+            float(kept[f'{column}{end}'].abs().mean()), 1e-9)
+        for quantity, (_, _, column) in QUANTITIES.items()})
+
+
+def worst_rows(table: pd.DataFrame, end: str = '') -> list[int]:
+    """Rows of the largest errors of a network, a second apart or more; ``end`` of :data:`ENDS`."""
+    size = relative_errors(table, end).sum(axis=1, skipna=False)
     found: list[int] = []
     at = table[['bag', 'stamp_ns']].to_dict('index')
     for row in size.dropna().sort_values(ascending=False, kind='stable').index.tolist():
@@ -495,6 +513,9 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     names = {'cte_m': 'cross-track', 'he_deg': 'heading'}
     turned = ' and '.join(names[one] for one in found.mirrored)
     begun = f'{turned}: the estimates fall where the truth rises'
+    if isinstance(perceptions[0], RecordedEstimates):
+        return (f'{begun}: the signs of estimates or truth; left is positive, and a minus before '
+                f'a field of {perceptions[0].topic} turns it')
     if len(found.mirrored) < len(names):
         return f'{begun}: the signs of truth or network; left is positive'
     if isinstance(perceptions[0], NodeAnswers):

@@ -224,7 +224,9 @@ def _best_shift(
     ]
     low, high = np.percentile(found, [2.5, 97.5])
     if high - low > _WIDEST_S:
-        return unknown._replace(why=f'anything from {low:+.2f} to {high:+.2f} s fits')
+        return unknown._replace(why=(
+            f'on a path so short or even, any from {low:+.2f} to {high:+.2f} s fits about as well; '
+            'a longer one with uneven turns would tell'))
     if abs(best) >= _LATEST_S - _STEP_S:
         return unknown._replace(why=BEYOND)
     return Latency(best, float(low), float(high))

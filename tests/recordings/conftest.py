@@ -23,17 +23,24 @@ def see(tmp_path) -> str:
 
 @pytest.fixture
 def scored(tmp_path, see):
-    """Score a drive: ``scored(drive, topic='/fix', …, perception='see', storage=…)``."""
+    """Score a drive: ``scored(drive, topic='/fix', …, perception='see', storage=…)``.
+
+    Perceptions are functions of the file, or topics.
+    """
     def call(drive, *, perception='see', against='', place='kmwh_04', latency='', specs=(),
-             **more) -> Score:
+             image='', camera='', monitor='', **more) -> Score:
+        def word(one):
+            return one if one[:1] in ('', '/') else f'{see}:{one}'
+
         source = {one: more.pop(one) for one in list(more)
                   if one in TruthSource.__dataclass_fields__}
         if drive.truth == 'fix':
             source = {'topic': '/fix', 'heading': '/imu', **source}
         bag = record(tmp_path / f'drive{len(list(tmp_path.iterdir()))}', drive, **more)
         return score(ScoreOptions(
-            bags=(bag,), source=TruthSource(**source), perception=f'{see}:{perception}',
-            against=against and f'{see}:{against}', place=place, latency=latency, specs=specs,
+            bags=(bag,), source=TruthSource(**source), perception=word(perception),
+            against=word(against), place=place, latency=latency, specs=specs, image=image,
+            camera=camera, monitor=monitor,
         ))
 
     return call

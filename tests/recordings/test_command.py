@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 import recordings
 from PIL import Image
+from rosbags.rosbag2 import StoragePlugin
 from synthetic import Drive, pixels_of, record
 
 from taxinet_ros.bag.run.recording import open_recording
@@ -38,7 +39,11 @@ def test_given_a_recording_when_scored_then_json_page_and_table_are_written(taxi
     table = pd.read_parquet(drive.parent / 'found/frames.parquet')
     assert len(table) == 301
     assert {'est_cte_m', 'est_cte_m_2', 'cte_error_m', 'sun_elevation_deg'} <= set(table)
+    assert table['he_error_deg'].abs().mean() == pytest.approx(values['heading_mae_deg'])
+    assert not any('error_error' in name for name in table)
     page = (drive.parent / 'found/score.html').read_text()
+    assert 'Worst frames of see.py:biased' in page
+    assert 'Worst frames of see.py:see' in page
     assert 'is better in heading' in page
     assert page.count('data:image/webp') >= 6
     code, _, err = taxinet('score', drive, *KNOWN, '--out', 'found')
@@ -108,6 +113,15 @@ def test_given_a_mistake_then_one_line_says_it_and_nothing_is_written(taxinet, d
     assert (code, out, err.count('\n')) == (2, '', 1)
     assert line in err
     assert sorted(one.name for one in drive.parent.iterdir()) == ['drive']
+
+
+def test_given_a_folder_of_recordings_then_it_asks_for_those_in_it(taxinet, drive):
+    for name in ('a', 'b', 'c'):
+        record(drive.parent / name, Drive(seconds=1), storage=StoragePlugin.SQLITE3)
+    code, out, err = taxinet('score', '.', *KNOWN)
+    assert (code, out, err.count('\n')) == (2, '', 1)
+    assert '.: is no recording, but a folder with 4; name one or several' in err
+    assert err.endswith(': a b c …\n')
 
 
 def test_given_a_run_of_ours_then_place_truth_and_robustness_are_its_own(taxinet, tmp_path):

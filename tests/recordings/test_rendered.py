@@ -76,6 +76,18 @@ def test_given_a_place_of_ones_own_then_a_run_starts_there_in_another_process(ta
     assert 'place mine' in out
 
 
+def test_given_bright_pictures_at_night_then_a_line_names_the_clock(taxinet, tmp_path):
+    night = Drive(seconds=1, size=(200, 360), stamp=lambda kind, ns: ns + 9 * 3600 * 10**9)
+    words = ('score', record(tmp_path / 'drive', night), '--place', 'kmwh_04', '--heading', '/imu',
+             '--camera', 'wing', '--simulate', '--json')
+    notes = json.loads(taxinet(*words)[1])['notes']
+    [note] = [one for one in notes if one.startswith('--simulate: ')]
+    assert note.startswith('--simulate: on 2023-11-14 at 23:13 the sun is ')
+    assert 'deg below the horizon, but the recorded pictures are bright (mean grey 1' in note
+    assert 'local time instead of UTC, the time_zone of the place, or the date' in note
+    assert json.loads(taxinet(*words, '--set', 'time_of_day=14:13')[1])['notes'] == []
+
+
 @pytest.mark.parametrize(('words', 'line'), [
     (('--metar', 'CLR'), '--metar: needs --simulate'),
     (('--set', 'clouds=clear'), '--set: needs --simulate'),

@@ -1,20 +1,37 @@
 """Recordings with known errors, latency and offsets: they are found within stated bounds."""
 
 import math
+import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from synthetic import BEGUN_NS, Drive, path, pixels_of, record
 
+from taxinet_ros.analysis.report.pictures import LIGHT
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import NO_TRUTH, OFF_PLACE, OUT_OF_ORDER, STANDING
 from taxinet_ros.recordings.reader import Recording, picture
+from taxinet_ros.recordings.report import score_report
 from taxinet_ros.recordings.score import ScoreOptions, score, worst_rows
 from taxinet_ros.recordings.statistics import BEYOND
 from taxinet_ros.recordings.truth import TruthSource
+
+SLIPS = """
+
+def aside(image):
+    cte, he = see(image)
+    return cte + 3 * (image[0, 0, 2] % 8 == 0), he
+
+def askew(image):
+    cte, he = see(image)
+    return cte, he + 0.1 * (image[0, 0, 2] % 8 == 0)
+"""
+"""Of frames here and there one quantity is far off."""
 
 
 def errors(found, network=0):
@@ -161,6 +178,26 @@ def test_given_errors_then_the_worst_frames_are_apart_and_by_size(scored):
     sizes = found.table['cte_error_m'].abs().to_numpy()
     assert sizes[rows[0]] > np.percentile(sizes, 95)
     assert np.diff(sorted(found.table['t_s'].to_numpy()[rows])).min() >= 1.0
+
+
+def test_given_two_networks_then_the_worst_frames_of_each_say_what_is_off(scored, see):
+    with Path(see).open('a') as file:
+        file.write(SLIPS)
+    found = scored(Drive(seconds=30, noise_m=0.1), perception='aside', against='askew')
+    assert [len(rows) for rows in found.worst] == [8, 8]
+    assert found.worst == [worst_rows(found.table), worst_rows(found.table, '_2')]
+    [section] = [one for one in score_report(found).sections if one.name == 'worst']
+    assert [one.title for one in section.pictures] == [
+        'Worst frames of see.py:aside', 'Worst frames of see.py:askew']
+    for one, words in zip(section.pictures, (
+        r'[\d.]+ s: cross-track ([-+][\d.]+), ([-+][\d.]+) m',
+        r'[\d.]+ s: heading ([-+][\d.]+), ([-+][\d.]+) deg',
+    ), strict=True):
+        figure = Figure()
+        one.draw(figure, LIGHT)
+        titles = [re.fullmatch(words, axes.get_title()) for axes in figure.axes]
+        assert len(titles) == 8
+        assert all(title and abs(float(title[1]) - float(title[2])) > 1 for title in titles), one
 
 
 def test_given_patterns_of_a_bayer_sensor_then_colours_come_out(tmp_path):

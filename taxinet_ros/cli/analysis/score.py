@@ -14,7 +14,6 @@ from taxinet_ros.cli.options import (
     JsonOption,
     MonitorOption,
     PerceptionCommandOption,
-    PerceptionOption,
     ScenarioOption,
     word_of,
 )
@@ -36,7 +35,8 @@ def score(
         'that of a run of ours')
     ] = '',
     image: Annotated[
-        str, typer.Option(metavar='TOPIC', help='Image or CompressedImage; default: the only one')
+        str, typer.Option(metavar='TOPIC', help='Image or CompressedImage; default: the only one; '
+                          'none: recorded estimates count at their own stamps')
     ] = '',
     truth: Annotated[
         str,
@@ -86,10 +86,18 @@ def score(
     aircraft: Annotated[
         str, typer.Option(help='the aircraft that carries it (default: caravan)')
     ] = '',
-    perception: PerceptionOption = 'taxinet',
+    perception: Annotated[
+        str,
+        typer.Option(
+            metavar='NET', help='a network, as `taxinet run` takes; or /TOPIC of the bag with '
+            'recorded estimates: of TrackingError, or as /TOPIC:FIELD=m,FIELD=rad of any type '
+            '(units: ft, deg, …; left positive, a minus before a field turns it)',
+            autocompletion=complete_perception,
+        ),
+    ] = 'taxinet',
     perception_cmd: PerceptionCommandOption = None,
     against: Annotated[
-        str | None, typer.Option(help='second network, compared frame by frame',
+        str | None, typer.Option(metavar='NET', help='a second one, compared frame by frame',
                                  autocompletion=complete_perception)
     ] = None,
     latency: Annotated[
@@ -157,12 +165,11 @@ def score(
     )
     if out is not None:
         check_new(out)
-    if not simulate and (settings or metar):
-        raise UsageError(f'{"--set" if settings else "--metar"}: needs --simulate')
-    if simulate and perception_cmd:
-        raise UsageError('--simulate: not with --perception-cmd; play it into the node in a graph')
+    _check_rendered(simulate, options.perception, {'--set': settings, '--metar': metar})
     with stage_bars(Console(stderr=True)) as show:
         found = score_bags(options, show, _player() if perception_cmd else None)
+    if not found.setup.image and dataset:
+        raise UsageError('--dataset: without pictures it has no effect')
     if simulate:
         _simulate(found, settings or [], metar)
     if out is None:
@@ -181,6 +188,22 @@ def score(
             line_console(stderr=as_json).print(f'{count} labelled images: {folder}')
     violated = spec and any(one.verdict == 'VIOLATED' for one in found.verdicts)
     return ExitCode.VIOLATED if violated else ExitCode.OK
+
+
+def _check_rendered(simulate: bool, perception: str, weather: dict[str, Any]) -> None:
+    """Refuse to render without a network that sees it, and weather without rendering."""
+    from taxinet_ros.core.user_code import COMMAND
+    from taxinet_ros.recordings.estimates import names_topic
+
+    if not simulate:
+        for option in (name for name, value in weather.items() if value):
+            raise UsageError(f'{option}: needs --simulate')
+        return
+    if perception.startswith(COMMAND):
+        raise UsageError('--simulate: not with --perception-cmd; play it into the node in a graph')
+    if names_topic(perception):
+        raise UsageError(f'--simulate: the estimates on {perception} are not of rendered frames; '
+                         'name their network')
 
 
 def _player() -> Any:
