@@ -22,6 +22,7 @@ from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.trials.rates import ProgramRate
 from taxinet_ros.trials.record.facts import is_campaign
 from taxinet_ros.trials.record.row import RunRow
+from taxinet_ros.trials.stress import LikeliestFailure, likeliest_failure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -110,6 +111,16 @@ class Campaign:
         return tuple(
             Counterexample(row=row, campaign=self.recorded) for row in self.recorded.counterexamples
         )
+
+    @cached_property
+    def likeliest_failure(self) -> LikeliestFailure | None:
+        """The likeliest failure found with the sampler ``stress``; None if there is none.
+
+        ``.sigma`` is its distance from the means [standard deviations], ``.log_likelihood`` the
+        natural logarithm of its likelihood less that of the means, ``.deviations`` that of each
+        choice [standard deviations], ``.row`` its run.
+        """
+        return likeliest_failure(self.recorded.sampler, self.recorded.counterexamples)
 
     @property
     def rates(self) -> Mapping[str, ProgramRate]:

@@ -42,6 +42,7 @@ from taxinet_ros.trials.options import CampaignOptions, make_options
 from taxinet_ros.trials.requirements import DEFAULT_SPECS
 from taxinet_ros.trials.search import Search, make_search
 from taxinet_ros.trials.search_summary import heading_lines, search_summary
+from taxinet_ros.trials.stress import likeliest_failure
 from taxinet_ros.trials.summary import (
     campaign_heading,
     campaign_summary,
@@ -308,7 +309,8 @@ def _run(node: StandaloneSampler, executor: Any) -> int:
             learned = write_learned(engine)
     found = engine.summary
     if search is not None and (found or engine.interrupted):
-        node.say([*search_summary(engine, resuming), *learned])
+        likeliest = likeliest_failure(search.sampler, engine.rows)
+        node.say([*search_summary(engine, likeliest, resuming), *learned])
     elif found:
         node.say(campaign_summary(found, node.campaign).splitlines())
     if trouble:

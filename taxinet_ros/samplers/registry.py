@@ -57,6 +57,8 @@ class SamplerKind:
             may be in flight.
         batched: whether a run may depend on the result of the one before it
             (:class:`.sampler.Batched`), not only on those up to ``LAG`` before.
+        by_likelihood: whether it searches for the likeliest failure: all that the program draws has
+            to be normal then (:mod:`taxinet_ros.trials.stress`).
         rules: variants with options of their own, by the word of the option ``rule``.
     """
 
@@ -65,6 +67,7 @@ class SamplerKind:
     options: Mapping[str, Option] = field(default_factory=dict)
     learns: bool = True
     batched: bool = False
+    by_likelihood: bool = False
     rules: Mapping[str, SamplerKind] = field(default_factory=dict)
 
 
@@ -252,10 +255,10 @@ SPLITTING = SamplerKind(
         ),
     },
 )
-STRESS = proposer_kind(
+STRESS = replace(proposer_kind(
     'adaptive stress testing: towards the likeliest disturbances that fail',
     lambda space, seed, runs, values: Stress(space, seed), floor=0.0,
-)
+), by_likelihood=True)
 
 
 class PluginSampler(Sampler):

@@ -27,8 +27,6 @@ from taxinet_ros.samplers.histogram import Floats
 from taxinet_ros.samplers.sampler import Probabilities
 from taxinet_ros.samplers.space import Point, Space, run_generator
 
-NAME = 'stress'
-"""Its word in the table of samplers."""
 NEAR = 0.5
 """Standard deviation of a step that explores, at most [standard deviations]."""
 LONGEST = 1.5

@@ -36,7 +36,6 @@ from taxinet_ros.samplers.sampler import (
 )
 from taxinet_ros.samplers.space import Point, Space
 from taxinet_ros.samplers.splitting import NAME, particles_for
-from taxinet_ros.samplers.stress import NAME as STRESS
 from taxinet_ros.scenes.program_sampler import ProgramSampler
 from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.scenes.source import (
@@ -250,8 +249,7 @@ class Search(Proposer):
         whose = self._settle_sampler(source.sampler)
         if self.objective is not None:
             self.objective.check(self.sampler)
-        if self.sampler == STRESS:
-            check_likelihood(source.search_space())
+        check_likelihood(self.sampler, source.search_space())
         self.notes = (*source.notes, *([whose] if whose else []))
         self._sampler = self._make_sampler(source.space())
         if source.feedback is not None and not self._sampler.hears_refusals:

@@ -12,13 +12,12 @@ import numpy as np
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.samplers.space import Branch
-from taxinet_ros.samplers.stress import NAME as STRESS
 from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.rates import failure_rate, off_runway_rate
 from taxinet_ros.trials.search import COVERAGE, Search
 from taxinet_ros.trials.sequential import FAILURES
-from taxinet_ros.trials.stress import likeliest_failure
+from taxinet_ros.trials.stress import LikeliestFailure
 from taxinet_ros.trials.summary import (
     ON_STANDING_GRAPH,
     participants_words,
@@ -93,11 +92,14 @@ def _branch_words(branch: Branch, options: Sequence[object]) -> str:
     return f'{branch.parent} is {" or ".join(named)}'
 
 
-def search_summary(search: Engine[Search], resuming: str = '--resume') -> list[str]:
+def search_summary(
+    search: Engine[Search], likeliest: LikeliestFailure | None = None, resuming: str = '--resume',
+) -> list[str]:
     """Summary lines: counts, rates with intervals, the worst run, path of the table.
 
     Args:
         search: a search that has ended.
+        likeliest: its likeliest failure, if it searched by likelihood and there is one.
         resuming: option that continues it.
     """
     found, campaign = search.summary, search.options
@@ -106,8 +108,7 @@ def search_summary(search: Engine[Search], resuming: str = '--resume') -> list[s
     lines += found.blind_words()
     if (worst := found.worst) is not None:
         lines.append(f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}')
-    if search.proposer.sampler == STRESS and (failure := likeliest_failure(search.rows)):
-        lines += failure.words()
+    lines += likeliest.words() if likeliest else []
     lines += [*_rule_lines(search), *_odd_lines(search), found.table_line(campaign)]
     lines += found.next_line(campaign)
     why = 'interrupted' if search.interrupted else search.stopped

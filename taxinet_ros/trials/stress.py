@@ -9,7 +9,8 @@ import numpy as np
 
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.samplers.stress import NAME, deviations
+from taxinet_ros.samplers.registry import SAMPLERS
+from taxinet_ros.samplers.stress import deviations
 from taxinet_ros.scenes.search_space import SearchSpace
 from taxinet_ros.trials.record.row import RunRow
 
@@ -59,12 +60,15 @@ class LikeliestFailure:
         }
 
 
-def likeliest_failure(rows: Iterable[RunRow]) -> LikeliestFailure | None:
-    """The likeliest failed run of a search by the sampler ``stress``; None without a failure.
+def likeliest_failure(sampler: str, rows: Iterable[RunRow]) -> LikeliestFailure | None:
+    """The likeliest failed run; None without a failure, or of a sampler that has no likelihoods.
 
     Args:
+        sampler: word of the sampler that chose the runs; '' if there was none.
         rows: the runs; the first counts of those that are equally likely.
     """
+    if sampler not in SAMPLERS or not SAMPLERS[sampler].by_likelihood:
+        return None
     found = [
         LikeliestFailure(row=row, deviations=dict(zip(
             row.point, map(float, deviations(tuple(row.point.values()))), strict=True
@@ -74,26 +78,28 @@ def likeliest_failure(rows: Iterable[RunRow]) -> LikeliestFailure | None:
     return min(found, key=lambda one: one.sigma, default=None)
 
 
-def check_likelihood(space: SearchSpace) -> None:
-    """Refuse what is drawn without a likelihood to search by.
+def check_likelihood(sampler: str, space: SearchSpace) -> None:
+    """Refuse what is drawn without a likelihood, if the sampler searches by it.
 
     Raises:
         UsageError: a choice is not normal, or something is drawn beside the search.
     """
+    if not SAMPLERS[sampler].by_likelihood:
+        return
     for choice in space.searched:
         if choice.law is None or choice.law.kind != 'Normal':
             raise UsageError(
-                f'--sampler {NAME}: {choice.dimension.name} is no Normal(mean, stddev), so none of '
-                'its values is likelier than others; draw it as one, or fix it with --set'
+                f'--sampler {sampler}: {choice.dimension.name} is no Normal(mean, stddev), so none '
+                'of its values is likelier than others; draw it as one, or fix it with --set'
             )
     for name in space.unsearched:
         if not name.endswith(_HARMLESS):
             raise UsageError(
-                f'--sampler {NAME}: {name} is drawn, but not searched, so a path would not fail '
+                f'--sampler {sampler}: {name} is drawn, but not searched, so a path would not fail '
                 'again; draw it as Normal(mean, stddev), or leave it out'
             )
     if not space.searched:
         raise UsageError(
-            f'--sampler {NAME}: the program draws no disturbance; write one, such as '
+            f'--sampler {sampler}: the program draws no disturbance; write one, such as '
             "param 'steering_bias_deg@5' = Normal(0, 1)"
         )

@@ -65,6 +65,28 @@ def test_given_more_runs_and_workers_when_resumed_then_the_table_is_that_of_one_
     assert parts.rows.drop(columns=PER_MACHINE).equals(whole.rows.drop(columns=PER_MACHINE))
 
 
+def test_given_a_search_by_likelihood_then_its_campaign_has_the_likeliest_failure(tmp_path):
+    program = tmp_path / 'biased.scenic'
+    program.write_text(
+        "model runway_world\nego = new Plane at (0, 400)\nparam duration_s = 4\n"
+        "param 'steering_bias_deg@1' = Normal(0, 2)\nparam 'steering_bias_deg@2' = Normal(0, 2)\n"
+    )
+    found = tx.falsify(
+        program, sampler='stress', runs=12, perception='truth', out=tmp_path / 'out',
+        specs='near=always(abs(cte) <= 0.1)',
+    )
+    likeliest = found.likeliest_failure
+    assert list(likeliest.deviations) == ['steering_bias_deg@1', 'steering_bias_deg@2']
+    assert 0 < likeliest.sigma < 3
+    assert likeliest.log_likelihood == -likeliest.sigma**2 / 2
+    assert likeliest.row.run_id in {each.run_id for each in found.counterexamples}
+    satisfied = tx.falsify(
+        program, sampler='stress', runs=2, perception='truth', out=tmp_path / 'satisfied',
+        specs='near=always(abs(cte) <= 9)',
+    )
+    assert satisfied.likeliest_failure is None
+
+
 def test_given_late_answers_then_a_search_drives_as_single_runs_do(tmp_path):
     late = {'latency': 'perception=0.5', 'rates': 'cte=3', 'stop_on': 'violated'}
     specs = ['phi_eventually', 'soon=always[3:4](cte <= 9)']

@@ -16,7 +16,7 @@ from taxinet_ros.cli.run.campaign import run_on_workers, search_view
 from taxinet_ros.errors import ExitCode, plain_line
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.running.domain import check_workers
-from taxinet_ros.samplers.stress import NAME as STRESS
+from taxinet_ros.samplers.registry import SAMPLERS
 from taxinet_ros.trials.campaign import exit_code
 from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.engine import Engine
@@ -66,13 +66,13 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
         with search_view(console, search, shown=console.is_terminal and not quiet):
             run_on_workers(search, cluster)
         learned, planned = write_learned(search), search.first_planned
-    lines = [*search_summary(search), *learned]
+    likeliest = likeliest_failure(asked.sampler, search.rows)
+    lines = [*search_summary(search, likeliest), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if as_json:
         values = summary_json(search.summary, asked.campaign, planned)
-        if asked.sampler == STRESS:
-            failure = likeliest_failure(search.rows)
-            values['likeliest_failure'] = failure and failure.to_json()
+        if SAMPLERS[asked.sampler].by_likelihood:
+            values['likeliest_failure'] = likeliest and likeliest.to_json()
         print(json.dumps({**values, 'sampler': asked.sampler}, allow_nan=False))
     if search.interrupted and len(search.rows) < search.options.runs:
         return ExitCode.INTERRUPTED
