@@ -533,7 +533,8 @@ GNSS_FIELDS = (GNSS_NOISE, GNSS_BIAS, GNSS_DROPOUT_START, GNSS_DROPOUT)
 CONTROL_RATE = ScenarioField(
     key='control_rate_hz', short='control_rate', attribute='control_rate_hz',
     title='control rate', unit='Hz', low=CONTROL_RATES_HZ[0], high=CONTROL_RATES_HZ[-1],
-    si_unit='Hz', absent=10.0, carrier=CAMERA.attribute,
+    counted=f': {", ".join(map(str, CONTROL_RATES_HZ))}', si_unit='Hz', absent=10.0,
+    carrier=CAMERA.attribute,
 )
 DATAREFS = ScenarioField(
     key='datarefs', attribute='datarefs', title='datarefs of X-Plane', kind=Kind.DOCUMENT,
