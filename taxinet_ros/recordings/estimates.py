@@ -1,12 +1,13 @@
 """Estimates that a perception published itself, on a topic of the bag.
 
-A word names them: ``/TOPIC`` of ``taxinet_msgs/TrackingError``; of any type ``/TOPIC:FIELD=UNIT,
-FIELD=UNIT``, cross-track and heading error, left positive. A minus before a field turns its sign;
-``position.y`` is a field within a field, ``data.0`` an element.
+A word names them: ``/TOPIC`` of ``taxinet_msgs/TrackingError``; of any type
+``/TOPIC:FIELD=UNIT,FIELD=UNIT``, cross-track and heading error, left positive. A minus before a
+field turns its sign; ``position.y`` is a field within a field, ``data.0`` an element.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Iterator
@@ -39,6 +40,15 @@ class Field(NamedTuple):
 
     path: tuple[str, ...]
     factor: float
+
+
+def proposed_word(recording: Recording, topic: str) -> str:
+    """The form of the word of a topic that might have estimates, two decimals; '' of others."""
+    with contextlib.suppress(UsageError):
+        for _, _, message in recording.decoded((topic,)):
+            decimals = [name for name, one in _numbers(message) if isinstance(one, float)]
+            return f'{topic}:{_FORM}' if len(decimals) > 1 else ''
+    return ''
 
 
 def names_topic(word: str) -> bool:
@@ -208,16 +218,16 @@ def _is_number(value: Any) -> bool:
 
 def _listed(message: Any) -> str:
     """The numbers of a message by their names, as far as a line takes them."""
-    names = list(islice(_numbers(message), _LISTED + 1))
+    names = [name for name, _ in islice(_numbers(message), _LISTED + 1)]
     return (', '.join(names[:_LISTED]) or 'none') + (', …' if len(names) > _LISTED else '')
 
 
-def _numbers(value: Any, before: str = '') -> Iterator[str]:
+def _numbers(value: Any, before: str = '') -> Iterator[tuple[str, Any]]:
     """All numbers of a message by their names, without those of its header."""
     for name, one in _members(value):
         if before or name != 'header':
             if _is_number(one):
-                yield f'{before}{name}'
+                yield f'{before}{name}', one
             yield from _numbers(one, f'{before}{name}.')
 
 

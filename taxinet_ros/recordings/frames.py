@@ -28,7 +28,12 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import ODOMETRY
 from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
 from taxinet_ros.errors import UsageError
-from taxinet_ros.recordings.estimates import RecordedEstimates, match, names_topic
+from taxinet_ros.recordings.estimates import (
+    RecordedEstimates,
+    match,
+    names_topic,
+    proposed_word,
+)
 from taxinet_ros.recordings.reader import (
     CAMERA_INFO,
     FIX,
@@ -448,8 +453,12 @@ def proposals(path: Path) -> list[dict[str, Any]]:
     recording = Recording(path)
     uses = {'--image': IMAGES, '--truth': TRUTHS, '--heading': HEADINGS,
             '--perception': (TRACKING_ERROR,), 'checks --camera': (CAMERA_INFO,)}
-    return [
-        {'topic': name, 'type': kind, 'messages': count,
-         'use': ', '.join(use for use, types in uses.items() if kind in types)}
-        for name, count in recording.counts.most_common() for kind in (recording.types[name],)
-    ]
+    found = []
+    for name, count in recording.counts.most_common():
+        kind = recording.types[name]
+        use = ', '.join(use for use, types in uses.items() if kind in types)
+        if not use and not kind.startswith('taxinet_msgs/'):
+            word = proposed_word(recording, name)
+            use = f'--perception {word}' if word else ''
+        found.append({'topic': name, 'type': kind, 'messages': count, 'use': use})
+    return found

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from bag_edits import GOLDEN
 from rosbags.typesys import get_types_from_msg
-from synthetic import BEGUN_NS, PERIOD_NS, TYPES, Drive, header, make, path
+from synthetic import BEGUN_NS, PERIOD_NS, TYPES, Drive, header, make, path, record
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import message_definition
@@ -98,6 +98,18 @@ def test_given_recorded_estimates_then_their_bias_and_noise_are_found_whenever_t
     assert found.latency.low_s < 0 < found.latency.high_s
     low, high = found.slices[0].errors['cte'][0][1:3]
     assert low < 0.5 < high
+
+
+def test_given_topics_of_numbers_then_they_are_proposed_with_the_form_of_their_word(tmp_path):
+    stamp = make('builtin_interfaces/msg/Time', sec=0, nanosec=0)
+    bag = record(tmp_path / 'drive', Drive(seconds=1, more=[
+        *heard(OURS, ours, seconds=1), *heard(VECTOR, in_feet, topic='/feet', seconds=1),
+        *heard(ARRAY, lambda ns, cte, he: array(cte, he), topic='/array', seconds=1),
+        ('/time', 'builtin_interfaces/msg/Time', stamp, BEGUN_NS)]))
+    assert {row['topic']: row['use'] for row in proposals(bag)} == {
+        '/cam': '--image', '/fix': '--truth', '/imu': '--heading', '/seen': '--perception',
+        '/feet': '--perception /feet:FIELD=m,FIELD=rad',
+        '/array': '--perception /array:FIELD=m,FIELD=rad', '/time': ''}
 
 
 def test_given_late_pictures_then_recorded_estimates_tell_their_latency(scored):
