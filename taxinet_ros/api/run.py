@@ -189,7 +189,7 @@ class Run:
 
     @property
     def trace(self) -> pd.DataFrame:
-        """A row for each control step (10 Hz); units are in ``trace.attrs['units']``.
+        """A row for each control step; units are in ``trace.attrs['units']``.
 
         Columns: ``t_s``, ``seq``, ``t_ns``, ``est_valid``, ``x_m``, ``y_m``, ``speed_mps``, true
         ``cte_m`` and ``he_rad``, estimated ``est_cte_m`` and ``est_he_rad`` (NaN where there is

@@ -301,7 +301,7 @@ LatencyOption = Annotated[
     typer.Option(
         rich_help_panel=LATER, metavar='NAME=LATENCY',
         help='latency of perception= or controller=: SECONDS, uniform(LOW,HIGH) or '
-        'normal(MEAN,SD), drawn at each step, rounded up to 0.1 s; repeatable',
+        'normal(MEAN,SD), drawn at each step, rounded up to whole steps; repeatable',
         autocompletion=one_of('perception=', 'controller='),
     ),
 ]

@@ -10,7 +10,7 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.assurance.switch import make_controller
+from taxinet_ros.core.assurance.switch import Alarm, make_controller
 from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.faults import check_free
 from taxinet_ros.core.motion.aircraft import PHYSICS_HZ
@@ -19,7 +19,7 @@ from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CONTROL_RATES_HZ
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, time_words
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import WORLDS, Extension
@@ -127,6 +127,14 @@ def test_given_another_rate_when_forked_then_time_is_counted_in_its_steps():
         run.fork(0.33, perception='truth')
     with pytest.raises(UsageError, match='control_rate_hz cannot change during a run'):
         run.fork(0.35, settings={'control_rate_hz': 10})
+
+
+def test_given_a_step_between_tenths_of_a_second_then_its_time_is_told_with_all_its_decimals():
+    assert [time_words(seq * 0.1) for seq in (0, 3, 299)] == ['0.0 s', '0.3 s', '29.9 s']
+    assert [time_words(seq / 40) for seq in (1, 5, 6)] == ['0.025 s', '0.125 s', '0.15 s']
+    assert time_words(7 / 20, 6) == '  0.35 s'
+    alarm = Alarm(step=7, reason='unfamiliar', score=1.2, period_ns=scene(20).period_ns)
+    assert str(alarm) == 'unfamiliar at 0.35 s (1.20 times its threshold)'
 
 
 def test_given_a_latency_then_a_command_takes_effect_that_much_later_at_every_rate():

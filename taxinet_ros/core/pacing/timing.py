@@ -2,9 +2,9 @@
 
 In lockstep, simulated time waits for every answer, as if perception and controller took no time. A
 latency simulates their computing time and keeps the run deterministic: the answer to the frame of
-time t takes effect at t plus the latency. Control steps are 0.1 s apart, so a latency is rounded up
-to whole steps: 0.05 s acts as 0.1 s. In a free run, time follows the wall clock regardless of
-answers, so results vary.
+time t takes effect at t plus the latency. Commands change at control steps, so a latency is rounded
+up to whole steps: 0.05 s acts as 0.1 s at 10 Hz. In a free run, time follows the wall clock
+regardless of answers, so results vary.
 
 At each step, the command in effect is the one for the newest frame whose latency has passed; a
 command overtaken by that for a newer frame never takes effect. Before the first command, the

@@ -13,7 +13,7 @@ SEQ = np.arange(5)
 
 
 def compared(recorded, replayed, name='est_cte_m', seqs=SEQ):
-    trace = {'seq': SEQ, name: np.array(recorded)}
+    trace = {'seq': SEQ, 't_ns': SEQ * 10**8, name: np.array(recorded)}
     (quantity,) = quantities(trace, (name,))
     answers = {'seq': np.array(seqs, float), name: np.array(replayed, float)}
     return difference(quantity, trace, answers)

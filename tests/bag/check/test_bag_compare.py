@@ -19,7 +19,7 @@ from mcap.writer import Writer
 from taxinet_ros.bag.check.compare import (
     STACK_FILE,
     compare_bags,
-    first_step,
+    first_difference,
     same_stack,
     stack_differences,
 )
@@ -59,7 +59,7 @@ def test_given_one_number_changed_then_topic_step_and_field_are_named(tmp_path):
     assert (found.topic, found.differing, found.greatest) == ('/taxi_command', 1, 0.25)
     assert (found.first.number, found.first.seq, found.first.field) == (4, 4, 'speed')
     assert found.first.values == ('5.0', '5.25')
-    assert first_step(topics) == 4
+    assert first_difference(topics).seq == 4
 
 
 @pytest.mark.parametrize(('field', 'value', 'tolerance', 'equal'), [
@@ -126,7 +126,7 @@ def test_given_a_pixel_changed_then_its_place_is_named(tmp_path):
 
 def test_given_messages_or_a_topic_missing_then_the_counts_tell(tmp_path):
     assert not differing(same := compare_bags(SEEN, SEEN))
-    assert (sum(topic.counts[0] for topic in same) > 900, first_step(same)) == (True, None)
+    assert (sum(topic.counts[0] for topic in same) > 900, first_difference(same)) == (True, None)
     short = altered(
         SEEN, tmp_path / 'short', unaltered,
         keep=lambda m: m.stamp_ns < 11_900_000_000 and m.topic.name != '/taxi_command',
