@@ -199,6 +199,11 @@ def test_given_what_keeps_to_10_hz_then_another_rate_is_refused_by_name():
     other = scene(20, **NEAR)
     with pytest.raises(UsageError, match='control_rate_hz: not in a free run'):
         check_free(other)
+    free = make_options(
+        program='cruise', runs=2, seed=0, perception='truth', settings=(), free=True,
+        controller='steering')
+    with pytest.raises(UsageError, match='control_rate_hz: not in a free run'):
+        free.check(scene(10, **NEAR), lambda: ['control_rate_hz'], [other])
     with pytest.raises(UsageError, match=r'others.*: control_rate_hz would have no effect'):
         _PluginWorld(OTHERS, lambda scenario, pictures=True: None, other)
     for monitor in ('original', 'sigma:1.5'):
