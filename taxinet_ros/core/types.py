@@ -27,6 +27,18 @@ from taxinet_ros.arguments import check_fields, told
 from taxinet_ros.errors import UsageError
 
 NS_PER_S = 1_000_000_000
+
+
+def time_words(time_s: float, width: int = 0) -> str:
+    """A simulated time [s] in tenths, or with the decimals that it takes: ``3.0 s``, ``0.125 s``.
+
+    Args:
+        time_s: the time of a control step [s].
+        width: least width of the number.
+    """
+    decimals = next(count for count in (1, 2, 3) if count == 3 or not round(
+        time_s - round(time_s, count), 6))
+    return f'{time_s:{width}.{decimals}f} s'
 FOOT_M = 0.3048
 """The international foot, exactly."""
 _FLOATS = {float}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.assurance.checks import Kinematics
 from taxinet_ros.core.assurance.monitor import CalibratedMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import alarm_of
-from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, rolling_on
+from taxinet_ros.core.control_step import rolling_on
 from taxinet_ros.core.mtl import SIGNALS, Monitor, Spec, parse_spec, signal_names
 from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.core.perception.perception import Perception
@@ -174,7 +174,7 @@ class Score:
         latency: estimated.
         applied_s: latency that was taken off.
         verdicts: of requirements.
-        alarms: what the monitor says of the frames, thinned to 10 Hz: their number, alarms by
+        alarms: what the monitor says of the frames of control steps: their number, alarms by
             reason and the time of the first one; None without a monitor.
         mirrored: errors with the other sign, see :func:`.mirrored_errors`.
         notes: likely mistakes and limits, one line each.
@@ -554,7 +554,7 @@ def row_pictures(found: Score, rows: Sequence[int]) -> Iterator[tuple[int, Pictu
 
 
 def _watch(found: Score, word: str) -> dict[str, Any]:
-    """Show the frames to a run-time monitor, ten a second, each the nearest to a control step."""
+    """Show the frames to a run-time monitor: to each control step, the nearest."""
     rig, table = found.setup.rig, found.table
     if rig is None:
         raise UsageError(
@@ -564,8 +564,8 @@ def _watch(found: Score, word: str) -> dict[str, Any]:
         monitor, CalibratedMonitor) else None
     scenario = _scene(found.scenario, rig)
     stamps = table['stamp_ns'][found.scored]
-    steps = np.rint(stamps / CONTROL_PERIOD_NS)
-    off = (stamps - steps * CONTROL_PERIOD_NS).abs()
+    steps = np.rint(stamps / scenario.period_ns)
+    off = (stamps - steps * scenario.period_ns).abs()
     rows = sorted(off.groupby([table['bag'][found.scored], steps]).idxmin().tolist())
     reasons, first_s, largest = Counter[str](), math.nan, dict[str, float]()
     bag, own = '', dict[int, TaxiCommand]()
@@ -576,7 +576,7 @@ def _watch(found: Score, word: str) -> dict[str, Any]:
             monitor.begin(scenario)
         estimate = NO_ESTIMATE if math.isnan(at['est_cte_m']) else TrackingError(
             cte_m=at['est_cte_m'], he_rad=math.radians(at['est_heading_error_deg']))
-        command = own.get(at['stamp_ns'] - CONTROL_PERIOD_NS, rolling_on(
+        command = own.get(at['stamp_ns'] - scenario.period_ns, rolling_on(
             scenario.speed_mps)) if own else _command(at, kinematics)
         scores = monitor.scores(Seen(image=pixels, estimate=estimate, command=command))
         largest |= {name: max(score, largest.get(name, score)) for name, score in scores.items()}

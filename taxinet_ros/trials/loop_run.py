@@ -140,7 +140,7 @@ class Loop:
         if not isinstance(request, Task):
             return parts, parts.perception
         return parts, substituted(
-            parse_substitution(request.word), parts.perception, (request.seed, request.index),
+            parse_substitution(request.word, ()), parts.perception, (request.seed, request.index),
             request.scenario.period_ns,
         )
 

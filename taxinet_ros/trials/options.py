@@ -108,14 +108,15 @@ class CampaignOptions(System):
         Args:
             first: scenario of the first run.
             drawn: tells the keys that scenes differ in.
-            more: a few more scenes, to see what a network was not trained in.
+            more: a few more scenes, to see what network, monitor or timing cannot have.
 
         Raises:
             UsageError: a requirement cannot be evaluated on such runs, a gain has no effect, or
                 the scenario delays the loop of a free run.
         """
-        if self.timing.free:
-            check_free(first)
+        scenes = (first, *more)
+        for scene in scenes if self.timing.free else ():
+            check_free(scene)
         usual_mps = SteeringGains().speed_mps
         if self.gains.get('speed_mps') == usual_mps != first.speed_mps:
             raise UsageError(
@@ -135,7 +136,7 @@ class CampaignOptions(System):
         again = find_world(self.world).again_words
         told = [f'{again}, so every frame is recorded'] if again and self.bags else []
         parts = None if self.standing_graph else parts_of(self.controller)
-        strange, scenes = list[str](), (first, *more)
+        strange: list[str] = []
         if parts is not None:
             check_monitor_rate(parts.monitor, scenes)
             strange += monitor_doubts(parts.monitor, self.perception)

@@ -32,6 +32,7 @@ from taxinet_ros.core.scenario_fields import (
     clock_words,
     unusual_words,
 )
+from taxinet_ros.core.types import time_words
 from taxinet_ros.core.verdict.judge import SpecCheck
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.files.plain_values import plain
@@ -296,7 +297,8 @@ def row_line(row: RunRow, shared: Mapping[str, Any] = MappingProxyType({})) -> T
         text.append(f' {" ".join(words)}: ' if words else ' ')
         return text.append(f'{row.detail}  ').append(scene_words(row), style='dim')
     text.append(f'  {rho_words(row, 7)}  {row.max_cross_track_m:5.1f} m  ')
-    notes = [f'stopped at {row.stopped_s:.1f} s'] if row.stopped_early else []
+    notes = [] if not row.stopped_early or row.stopped_s is None else [
+        f'stopped at {time_words(row.stopped_s)}']
     if row.unusable_share > MOST_UNUSABLE_SHARE:
         notes.append(f'{row.unusable_estimates} of {row.steps} estimates unusable')
     notes += [free_run_line(row.free)] if row.free else []

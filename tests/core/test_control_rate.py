@@ -14,7 +14,7 @@ import taxinet_ros as tx
 from taxinet_ros.analysis.report.viewer import read_frames
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.assurance.switch import make_controller
+from taxinet_ros.core.assurance.switch import Alarm, make_controller
 from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.faults import check_free
 from taxinet_ros.core.motion.aircraft import PHYSICS_HZ
@@ -23,7 +23,7 @@ from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CONTROL_RATES_HZ
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, time_words
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.forecast.forecast import samples_of
@@ -164,6 +164,14 @@ def test_given_another_rate_when_forked_then_time_is_counted_in_its_steps():
         run.fork(0.35, settings={'control_rate_hz': 10})
 
 
+def test_given_a_step_between_tenths_of_a_second_then_its_time_is_told_with_all_its_decimals():
+    assert [time_words(seq * 0.1) for seq in (0, 3, 299)] == ['0.0 s', '0.3 s', '29.9 s']
+    assert [time_words(seq / 40) for seq in (1, 5, 6)] == ['0.025 s', '0.125 s', '0.15 s']
+    assert time_words(7 / 20, 6) == '  0.35 s'
+    alarm = Alarm(step=7, reason='unfamiliar', score=1.2, period_ns=scene(20).period_ns)
+    assert str(alarm) == 'unfamiliar at 0.35 s (1.20 times its threshold)'
+
+
 def test_given_a_latency_then_a_command_takes_effect_that_much_later_at_every_rate():
     for rate_hz in (5, 10, 20, 40):
         run = tx.run(
@@ -236,6 +244,11 @@ def test_given_what_keeps_to_10_hz_then_another_rate_is_refused_by_name():
     other = scene(20, **NEAR)
     with pytest.raises(UsageError, match='control_rate_hz: not in a free run'):
         check_free(other)
+    free = make_options(
+        program='cruise', runs=2, seed=0, perception='truth', settings=(), free=True,
+        controller='steering')
+    with pytest.raises(UsageError, match='control_rate_hz: not in a free run'):
+        free.check(scene(10, **NEAR), lambda: ['control_rate_hz'], [other])
     with pytest.raises(UsageError, match=r'others.*: control_rate_hz would have no effect'):
         _PluginWorld(OTHERS, lambda scenario, pictures=True: None, other)
     for monitor in ('original', 'sigma:1.5'):

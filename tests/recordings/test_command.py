@@ -14,6 +14,7 @@ from PIL import Image
 from rosbags.rosbag2 import StoragePlugin
 from synthetic import Drive, pixels_of, record
 
+import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet
 from taxinet_ros.core.perception.weights import load_model, weights_path
@@ -149,6 +150,22 @@ def test_given_a_run_of_ours_then_place_truth_and_robustness_are_its_own(taxinet
     other = json.loads(out)
     for key in ('frames', 'cte_mae_m', 'heading_mae_deg', 'latency', 'place', 'notes'):
         assert other[key] == found[key], key
+
+
+def test_given_a_run_of_ours_at_another_rate_then_a_monitor_sees_each_step_and_its_command(
+    taxinet, tmp_path,
+):
+    (tmp_path / 'watch.py').write_text(
+        'def turned(seen):\n    return abs(seen.command.steering_rad)\n')
+    run = tx.run(
+        tx.Scenario(cross_track_m=2.0, duration_s=1.0, control_rate_hz=8), perception='truth')
+    run.save_bag(tmp_path / 'ours')
+    code, out, err = taxinet('score', 'ours', '--perception', 'original', '--json', '--monitor',
+                             f'{tmp_path / "watch.py"}:turned')
+    assert (code, err) == (0, '')
+    alarms = json.loads(out)['alarms']
+    assert alarms['frames'] == len(run.trace) == 9
+    assert alarms['largest']['turned'] == run.trace['steering_rad'][:-1].abs().max() > 0
 
 
 @pytest.mark.ros

@@ -40,6 +40,7 @@ from taxinet_ros.analysis.report.parts import (
 )
 from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
+from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.errors import UsageError
@@ -118,9 +119,15 @@ def compared(before: CampaignRuns, after: CampaignRuns, *, alpha: float = 0.05) 
         )
     both = common_scenes(after, before)
     if both.empty:
+        values = [(name, before.scenes[name], after.scenes[name]) for name in SCENE_COLUMNS]
+        apart = [
+            name for name, one, other in values
+            if one.nunique() == other.nunique() == 1 and one.iloc[0] != other.iloc[0]
+        ]
+        why = f', as {", ".join(apart)} differs' if apart else ''
         raise UsageError(
-            f'{before.path} and {after.path}: no scene in common; run both with the same program, '
-            'seed and sampler, or name two networks and the scenes'
+            f'{before.path} and {after.path}: no scene in common{why}; run both with the same '
+            'program, seed and sampler, or name two networks and the scenes'
         )
     rows, there = both['row'].to_numpy(), both['row_there'].to_numpy()
     frame = after.frame.iloc[rows].reset_index(drop=True)

@@ -41,7 +41,7 @@ from taxinet_ros.core.perception.perception import NetworkPerception, Perception
 from taxinet_ros.core.renderer import OURS, ChosenRenderer
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario_fields import along_words
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import TrackingError, time_words
 from taxinet_ros.core.user_code import UserCodeError
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import InfraError, UsageError
@@ -246,7 +246,7 @@ PARTS = {
 
 def moment_words(moment: Moment) -> str:
     """Display text: time, place, estimate, and its effect."""
-    where = f'{moment.t_s:.1f} s, {moment.x_m:,.0f} m {along_words(moment.line.name)}: '
+    where = f'{time_words(moment.t_s)}, {moment.x_m:,.0f} m {along_words(moment.line.name)}: '
     if not moment.estimate.usable:
         return f'{where}truth {error_words(moment.truth)}; the network gave no estimate'
     return (

@@ -29,7 +29,7 @@ from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
 from taxinet_ros.core.mtl.explain import Explanation as Clauses
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import TrackingError, time_words
 
 _TRUE, _BELIEVED = '#35d0ff', '#ff9d00'
 """Colours on frames, which look the same on dark and light pages."""
@@ -75,7 +75,8 @@ def scene_picture(found: Explanation, number: int) -> Picture:
     moment = found.insights[number].moment
     rows = math.ceil((1 + len(found.effects)) / _COLUMNS)
     return Picture(
-        name=f'explain-scenes-{moment.seq:04d}', title=f'In other scenes, at {moment.t_s:.1f} s',
+        name=f'explain-scenes-{moment.seq:04d}',
+        title=f'In other scenes, at {time_words(moment.t_s)}',
         caption=f'{moment_words(moment)}. Blue: true centreline; orange, dashed: centreline '
         "according to the network's estimate.",
         draw=partial(_draw_scenes, found, number), size_in=(9.0, 0.1 + 2.15 * rows),
@@ -86,7 +87,8 @@ def occlusion_picture(insight: Insight) -> Picture:
     """Occlusion map drawn on the frame."""
     moment = insight.moment
     return Picture(
-        name=f'explain-patches-{moment.seq:04d}', title=f'What matters, at {moment.t_s:.1f} s',
+        name=f'explain-patches-{moment.seq:04d}',
+        title=f'What matters, at {time_words(moment.t_s)}',
         caption='Change of the estimate when the image is covered there: red, to the left; blue, '
         'to the right. Uncoloured regions have no effect.',
         draw=partial(_draw_occlusion, insight), size_in=(9.0, 2.35),

@@ -8,7 +8,7 @@ from matplotlib.figure import FigureBase
 
 from taxinet_ros.analysis.report.parts import Theme, style_axes
 from taxinet_ros.core.mtl.explain import Clause, Explanation
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, time_words
 
 ROW_IN = 0.95
 """Height of one part [inch]."""
@@ -46,7 +46,8 @@ def _draw(axes: Axes, one: Clause, t_s: np.ndarray, theme: Theme, witness: bool)
                   markersize=8 if witness else 5, markerfacecolor=colour if witness else 'none',
                   markeredgecolor=colour, clip_on=False, zorder=5)
     text = one.text if len(one.text) <= 96 else f'{one.text[:95]}…'  # as much as fits
-    words = f'{one.interval.words()} at {t_s[one.row]:.1f} s' if one.interval else 'not needed'
+    at = time_words(t_s[one.row])
+    words = f'{one.interval.words()} at {at}' if one.interval else 'not needed'
     axes.set_title(f'{"    " * one.depth}{text}', fontsize=8, loc='left', color=theme.ink)
     axes.set_title(
         f'{words}{", decides" if witness else ""}', fontsize=8, loc='right',

@@ -33,7 +33,7 @@ from taxinet_ros.core.mtl.interval import (
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.scenario_fields import BY_KEY, full_key
 from taxinet_ros.core.trace import Column
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, time_words
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import plain
@@ -142,7 +142,7 @@ def _draw_frames(figure: FigureBase, theme: Theme, before: Shown, after: Shown) 
             else:
                 axes.text(0.5, 0.5, 'ended', ha='center', va='center', transform=axes.transAxes)
             if row == 0:
-                axes.set_title(f'{times_ns[seq] / NS_PER_S:.1f} s', fontsize=9)
+                axes.set_title(time_words(times_ns[seq] / NS_PER_S), fontsize=9)
         grid[row, 0].set_ylabel(('before', 'after')[row], fontsize=9)
 
 

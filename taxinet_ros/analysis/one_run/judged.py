@@ -20,7 +20,7 @@ from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.mtl.explain import DECIDES, Explanation
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, time_words
 from taxinet_ros.core.verdict.judge import SpecCheck, describe_specs, signal_ranges
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import plain
@@ -123,7 +123,7 @@ def clauses_json(found: Explanation | None) -> dict[str, Any]:
 
 
 def _time_words(one: SpecVerdict) -> str:
-    return 'not decided' if one.decided_s is None else f'decided at {one.decided_s:4.1f} s'
+    return 'not decided' if one.decided_s is None else f'decided at {time_words(one.decided_s, 4)}'
 
 
 def _recorded(one: SpecVerdict) -> str:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from taxinet_ros.core.topics import MTL_MONITOR, PERCEPTION, STEERING_CONTROLLER
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, time_words
 
 Values = NDArray[np.float64]
 
@@ -241,8 +241,8 @@ def replay_lines(
 def _cells(one: Difference, allowed: Mapping[str, float]) -> tuple[str, ...]:
     unit = f' {one.quantity.unit}' if one.quantity.unit else ''
     most = allowed.get(one.quantity.column, 0.0)
-    first = '-' if one.first_seq is None else (
-        f'step {one.first_seq} ({one.first_s:.1f} s)'
+    first = '-' if one.first_s is None else (
+        f'step {one.first_seq} ({time_words(one.first_s)})'
     )
     return (
         one.quantity.label, f'{one.mean:.3g}{unit}', f'{one.greatest:.3g}{unit}',

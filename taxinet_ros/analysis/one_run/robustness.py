@@ -31,7 +31,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import run_samples
 from taxinet_ros.core.mtl import SIGNALS, Assumptions, Reading, ast, atoms, signal_names
 from taxinet_ros.core.mtl.margin import compile_margin
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, time_words
 from taxinet_ros.errors import UsageError
 
 # Okabe-Ito colours, distinguishable with all common colour vision deficiencies.
@@ -186,7 +186,7 @@ def _mark(axes: Axes, verdict: SpecVerdict, last_s: float) -> None:
 
 
 def _words(verdict: SpecVerdict) -> str:
-    when = '' if verdict.decided_s is None else f', decided at {verdict.decided_s:.1f} s'
+    when = '' if verdict.decided_s is None else f', decided at {time_words(verdict.decided_s)}'
     return f'{verdict.verdict}, {verdict.interval.words()}{when}'
 
 

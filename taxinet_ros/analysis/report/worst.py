@@ -15,6 +15,7 @@ from taxinet_ros.analysis.report.pictures import data_address, view_picture
 from taxinet_ros.analysis.report.viewer import RunView
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
+from taxinet_ros.core.types import time_words
 from taxinet_ros.core.verdict.run_statistics import deciding_steps
 
 _BEYOND_EDGE_M = 3.0
@@ -37,7 +38,7 @@ def view_worst(view: RunView, rho: float | None) -> dict[str, Any]:
         rho: its robustness, if known.
     """
     row, known = _moment(view)
-    at = f'{view.t_s[row]:.1f} s'
+    at = time_words(view.t_s[row])
     cte, estimate = view.curves['cte'][row], view.curves['cteEstimate'][row]
     seen = f'The camera at {at}: the aircraft is {_side_words(cte)} of the line'
     seen += f', the network reports {_side_words(estimate)}. ' if known else '. '

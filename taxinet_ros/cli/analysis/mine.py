@@ -38,20 +38,20 @@ def mine(
     distribution of their values. Of two parameters, one of them a time, it is the front.
     """
     from taxinet_ros.cli.progress import stage_bars
-    from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
     from taxinet_ros.core.mtl.mine import parse_template
     from taxinet_ros.files.plain_values import plain
-    from taxinet_ros.trials.past_runs.mining import mine, order, program_traces
+    from taxinet_ros.trials.past_runs.mining import mine, order, program_traces, step_ns
     from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
 
     if not 0 < share < 1:
         raise UsageError(f'--share {share:g}: needs to be between 0 and 1')
-    template = parse_template(formula, CONTROL_PERIOD_NS)
+    recorded = open_campaign(campaign)
+    template = parse_template(formula, step_ns(recorded))
     target, other = order(template)
     console = line_console(stderr=as_json)
     with stage_bars(console) as show:
         traces, anytime = program_traces(
-            open_campaign(campaign), template, lambda done, total: show('reading', done, total)
+            recorded, template, lambda done, total: show('reading', done, total)
         )
     found = list(mine(template, traces, share, anytime=anytime, points=points))
     if as_json:

@@ -63,12 +63,14 @@ def print_comparison(
     """Print one line per differing topic, and a summary."""
     from taxinet_ros.analysis.report.text import macro_text
     from taxinet_ros.bag.check.compare import first_difference
+    from taxinet_ros.core.types import NS_PER_S, time_words
 
     differing = [topic for topic in topics if not topic.equal]
     first = first_difference(differing)
     console.print(macro_text(
         Path(__file__).with_suffix('.j2'), 'compared', topics=topics, differing=differing,
         messages=sum(max(topic.counts) for topic in topics), tolerance=tolerance, first=first,
+        at='' if first is None else time_words(first.stamp_ns / NS_PER_S),
     ))
 
 

@@ -37,7 +37,7 @@ from taxinet_ros.core.perception.perception import (
 )
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.sensors import Measured
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, time_words
 from taxinet_ros.core.user_code import NO_NODE_HERE, is_node_elsewhere
 from taxinet_ros.errors import UsageError
 
@@ -137,7 +137,7 @@ class Alarm:
         return self.step * self.period_ns / NS_PER_S
 
     def __str__(self) -> str:
-        return f'{self.reason} at {self.at_s:.1f} s ({self.score:.2f} times its threshold)'
+        return f'{self.reason} at {time_words(self.at_s)} ({self.score:.2f} times its threshold)'
 
 
 class Assured(Controller):

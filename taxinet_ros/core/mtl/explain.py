@@ -21,7 +21,7 @@ from taxinet_ros.core.mtl.normal_form import window_offsets
 from taxinet_ros.core.mtl.offline import Array, robustness
 from taxinet_ros.core.mtl.online import Monitor
 from taxinet_ros.core.mtl.specs import Spec
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, time_words
 
 DECIDES = '  <- decides'
 """End of the line of the predicate that decides."""
@@ -90,7 +90,7 @@ class Explanation:
         for one, words in zip(self.clauses, known, strict=True):
             time_s = self.stamps_ns[one.row] / NS_PER_S
             mark = DECIDES if one is self.witness else ''
-            yield f'{words:<{width}}  {time_s:5.1f} s  {"  " * one.depth}{one.text}{mark}'
+            yield f'{words:<{width}}  {time_words(time_s, 5)}  {"  " * one.depth}{one.text}{mark}'
 
     def __str__(self) -> str:
         return '\n'.join(self.lines())

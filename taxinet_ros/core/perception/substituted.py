@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,8 +72,12 @@ class Substitution:
         return f'{self.kind}:{self.amount:g}' if self.kind in _AMOUNTS else self.kind
 
 
-def parse_substitution(text: str) -> Substitution:
+def parse_substitution(text: str, periods_s: Iterable[float] = (_STEP_S,)) -> Substitution:
     """Parse a substitution; see :data:`KNOWN`.
+
+    Args:
+        text: the text.
+        periods_s: control periods of the runs [s].
 
     Raises:
         UsageError: unknown word; an amount that is missing or out of range; or a delay that is not
@@ -92,8 +96,8 @@ def parse_substitution(text: str) -> Substitution:
     if not 0 < amount <= _AMOUNTS[kind]:
         most = f'{_AMOUNTS[kind]:g} {unit}'
         raise UsageError(f'--with {text}: needs an amount above 0 up to {most}, as in {kind}:0.5')
-    if kind != _NOISY:
-        _check_delay(text, amount, _STEP_S)
+    for period_s in () if kind == _NOISY else periods_s:
+        _check_delay(text, amount, period_s)
     # The text form has six digits; round the amount so that both are equal.
     return Substitution(kind=kind, amount=float(f'{amount:g}'))
 

@@ -22,6 +22,7 @@ from taxinet_ros.core.perception.substituted import (
     TRUTH_HEADING,
     parse_substitution,
 )
+from taxinet_ros.core.scenario_fields import CONTROL_RATE
 from taxinet_ros.core.system import System, digest_of
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import UsageError
@@ -95,8 +96,10 @@ def make_localize_options(
         raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_WORKERS}')
     if runs is not None and runs < 1:
         raise UsageError(f'--runs {runs}: needs to be 1 or more')
-    chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
     found = open_failed_campaign(campaign)
+    rows = spread_evenly(found.counterexamples, runs)
+    periods_s = {1 / (row.control_rate_hz or CONTROL_RATE.absent) for row in rows}
+    chosen = [parse_substitution(word, periods_s).word for word in words] or DEFAULT_WORDS
     system = system_of(found)
     if why := system.not_again:  # which reports a missing or changed package, too
         raise UsageError(
@@ -109,7 +112,7 @@ def make_localize_options(
         found.facts.get('controller_sha256', ''), 'put the file back as it was',
     )
     return LocalizeOptions(
-        campaign=found, rows=spread_evenly(found.counterexamples, runs),
+        campaign=found, rows=rows,
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
         perception=_network(found, perception), workers=workers,
         out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',

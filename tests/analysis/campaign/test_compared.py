@@ -131,8 +131,13 @@ def test_given_no_common_scene_or_another_requirement_then_one_line_says_so(tmp_
     one, other = pair(tmp_path, rate, rate)
     (tmp_path / 'far').mkdir()
     far = planted_runs(planted_table(50, 9, rate, **PLAIN), tmp_path / 'far')
-    with pytest.raises(UsageError, match='no scene in common'):
+    with pytest.raises(UsageError, match='no scene in common; run both with the same program'):
         compared(one, far)
+    (tmp_path / 'quick').mkdir()
+    quick = planted_runs(
+        planted_table(200, 5, rate, **PLAIN, control_rate_hz=20.0), tmp_path / 'quick')
+    with pytest.raises(UsageError, match='no scene in common, as control_rate_hz differs; run'):
+        compared(one, quick)
     (tmp_path / 'psi').mkdir()
     table = planted_table(200, 5, rate, **PLAIN).rename(columns={'rho_phi': 'rho_psi'})
     with pytest.raises(UsageError, match=r'judged by phi, .* by psi'):

@@ -311,6 +311,19 @@ def test_given_runs_that_passed_then_there_is_nothing_to_localise(tmp_path):
         options(tmp_path / 'good', tmp_path / 'out')
 
 
+def test_given_runs_of_another_control_rate_then_a_delay_is_a_number_of_their_steps(tmp_path):
+    quick = scenario_from_human({**OFF[0].to_human(), 'control_rate_hz': 20})
+    failed_campaign(tmp_path / 'c', [quick])
+    found = options(tmp_path / 'c', words=('delayed:0.05',), out=tmp_path / 'found')
+    assert {word for _, word in localize(found, ignore, never)} == {AS_RECORDED, 'delayed:0.05'}
+    with pytest.raises(UsageError, match=r'delayed:0\.02: a delay has to be a multiple of 0\.05 s'):
+        options(tmp_path / 'c', tmp_path / 'none', words=('delayed:0.02',))
+    slow = scenario_from_human({**OFF[0].to_human(), 'control_rate_hz': 5})
+    failed_campaign(tmp_path / 'mixed', [quick, slow])
+    with pytest.raises(UsageError, match=r'delayed:0\.1: a delay has to be a multiple of 0\.2 s'):
+        options(tmp_path / 'mixed', tmp_path / 'none', words=('delayed:0.1',))
+
+
 def test_given_a_number_of_runs_then_they_are_spread_over_all():
     many = tuple(range(1996))
     chosen = spread_evenly(many, 200)

@@ -6,10 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from campaign_records import write_campaign
 
 from taxinet_ros.core.mtl.mine import parse_template
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.trials.past_runs.mining import Trace, mine, quantile
+from taxinet_ros.trials.past_runs.mining import Trace, mine, quantile, step_ns
+from taxinet_ros.trials.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.trials.record.row import RunRow
 
 STAMPS = [100_000_000 * step for step in range(31)]
 
@@ -53,3 +58,22 @@ def test_given_two_parameters_then_the_front_is_the_known_one() -> None:
     with pytest.raises(UsageError, match='A and B are both numbers'):
         list(mine(parse_template('always(cte <= A and he <= B)', 1), traces, 0.8, anytime=False,
                   points=4))
+
+
+def test_given_runs_of_other_control_rates_then_times_are_mined_in_their_steps(tmp_path) -> None:
+    for rates_hz, step in (((10,), 0.1), ((20, 20), 0.05), ((8, 10), 0.025)):
+        rows = [
+            RunRow(run_id=f'run-{index}', index=index, program='nominal', seed=0,
+                   perception='truth', outcome=Outcome.INTERRUPTED,
+                   **scenario_from_human({'control_rate_hz': rate_hz}).to_human())
+            for index, rate_hz in enumerate(rates_hz)
+        ]
+        folder = tmp_path / str(step)
+        folder.mkdir()
+        write_campaign(folder, rows)
+        found = step_ns(open_campaign(folder))
+        assert found == pytest.approx(step * 1e9)
+    stamps = [50_000_000 * seq for seq in range(41)]
+    (parameter,) = (template := parse_template('always[T:2](cte <= 1)', 50_000_000)).parameters
+    late = {'cte': [9.0] * 7 + [0.0] * 34}
+    assert template.tightest(parameter, {}, stamps, late) == pytest.approx(0.35)

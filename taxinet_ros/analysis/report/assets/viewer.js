@@ -2,7 +2,6 @@
 
 const RUN_PREFIX = '#run=';
 const CURVES = ['t', 'x', 'y', 'speed', 'cte', 'cteEstimate', 'he', 'heEstimate', 'steering'];
-const STEPS_PER_SECOND = 10;
 
 function runLink(id) {
   return RUN_PREFIX + encodeURIComponent(id);
@@ -150,7 +149,7 @@ class Viewer {
 
   actionOf({ key, shiftKey }) {
     const { player } = this;
-    const stride = shiftKey ? STEPS_PER_SECOND : 1;
+    const stride = shiftKey ? Math.max(player.stepAt(player.times[0] + 1), 1) : 1;
     return {
       ' ': () => player.toggle(),
       ArrowLeft: () => player.seek(player.step - stride),
