@@ -21,7 +21,7 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA,
     CAMERA_OFFSETS,
     CATALOGUES,
-    CONTROL_RATE,
+    CONTROL_RATES_HZ,
     DISTANCE,
     DRAWN_FAULTS,
     DURATION,
@@ -49,6 +49,7 @@ from taxinet_ros.core.scenario_fields import (
     is_point,
     split_point,
 )
+from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.values import OVERRIDES
 
@@ -64,7 +65,7 @@ _NEEDS = {
 """Values that have an effect only where one of others is not 0."""
 _ALLOWING = {
     SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 0.01, GUST.key: 0.01, LENS_DIRT.key: 1.0,
-    DURATION.key: DURATION.high, DISTANCE.key: 0.0, CONTROL_RATE.key: CONTROL_RATE.high,
+    DURATION.key: DURATION.high, DISTANCE.key: 0.0,
 }
 """Values that are compatible with every value of the other keys."""
 _ALLOWING_GNSS = {SENSORS.key: 'standard', GNSS_DROPOUT.key: 1.0}
@@ -277,7 +278,10 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
         return
     # Check each with values that allow it: rain with a rainy sky, crossing keys with a crossing.
     allowing = _ALLOWING if key == SENSORS.key else {**_ALLOWING, **_ALLOWING_GNSS}
-    last_step(scenario_from_human({**(place or {}), **allowing, key: value}))
+    scenario = scenario_from_human({**(place or {}), **allowing, key: value})
+    # The period of the fastest control rate divides all others.
+    if scenario.duration_ns * CONTROL_RATES_HZ[-1] % NS_PER_S:
+        last_step(scenario)
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:
