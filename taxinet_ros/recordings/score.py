@@ -514,8 +514,8 @@ def _sign_note(found: Score, perceptions: Sequence[Perception]) -> str:
     turned = ' and '.join(names[one] for one in found.mirrored)
     begun = f'{turned}: the estimates fall where the truth rises'
     if isinstance(perceptions[0], RecordedEstimates):
-        return (f'{begun}: the signs of estimates or truth; left is positive, and a minus before '
-                f'a field of {perceptions[0].topic} turns it')
+        return (f'{begun}: the signs of estimates or truth (left is positive, and a minus before '
+                f'a field of {perceptions[0].topic} turns it), or they are as wrong as that')
     if len(found.mirrored) < len(names):
         return f'{begun}: the signs of truth or network; left is positive'
     if isinstance(perceptions[0], NodeAnswers):

@@ -169,27 +169,29 @@ def estimate_latency(
             track.measure(x, y, yaw)[1:] for x, y, yaw in zip(
                 *(column.tolist() for column in poses[:3]), strict=True)
         ])
-        # Between two samples interpolation averages their noise, which would favour those shifts.
         sampled = replace(truth, poses=poses._replace(
-            y_m=_smoothed(errors[:, 0], truth.period_s),
-            yaw_rad=_smoothed(unwrapped(errors[:, 1]), truth.period_s)))
+            y_m=errors[:, 0], yaw_rad=unwrapped(errors[:, 1])))
         rows = np.array([
             sampled.at(stamps_ns - round(shift * NS_PER_S))[1:3] for shift in shifts
         ]).transpose(0, 2, 1)
         known = np.isfinite(rows).all(axis=(0, 2)) & np.isfinite(seen).all(axis=1)
-        shifted.append(rows[:, known])
-        estimates.append(seen[known])
-        groups.append(np.full(int(known.sum()), number))
+        # Between two samples interpolation averages their noise, which would favour those shifts.
+        # Estimates alike, as the means of a turn are not its middle.
+        half = round(_SMOOTH_S * NS_PER_S / max(np.median(np.diff(stamps_ns)), 1e6)) \
+            if len(stamps_ns) > 1 else 0
+        shifted.append(_smoothed(rows[:, known], half))
+        estimates.append(_smoothed(seen[known], half))
+        groups.append(np.full(len(estimates[-1]), number))
     return _best_shift(
         shifts, np.concatenate(shifted, axis=1), np.concatenate(estimates), np.concatenate(groups))
 
 
-def _smoothed(values: Floats, period_s: float) -> Floats:
-    """Means over :data:`_SMOOTH_S` on both sides; NaN where that is more than there is."""
-    half = min(round(_SMOOTH_S / max(period_s, 1e-3)), (len(values) - 1) // 2)
-    kernel = np.full(2 * half + 1, 1 / (2 * half + 1))
-    # A mean of one side only would be that of another time.
-    return np.pad(np.convolve(values, kernel, 'valid'), half, constant_values=np.nan)
+def _smoothed(values: Floats, half: int) -> Floats:
+    """Means with so many frames on either side, along the last axis but one; of those inside."""
+    half = min(half, max(values.shape[-2] - 1, 0) // 2)
+    if not half:
+        return values
+    return np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=-2).mean(axis=-1)
 
 
 def _best_shift(

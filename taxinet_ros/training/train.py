@@ -27,7 +27,7 @@ from taxinet_ros.core.perception.weights import (
 )
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA, PLACE
-from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.errors import RecordError, UsageError, warn_once
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.training.accuracy import history_csv
 from taxinet_ros.training.data.dataset import (
@@ -336,7 +336,24 @@ def _write(
     )
     save_model(options.out, data, card)
     _write_curves(options, fitted)
+    if start is not None:
+        _warn_if_worse(options, card, _measure(options, start.weights, material.validation))
     return card
+
+
+def _warn_if_worse(
+    options: TrainOptions, card: ModelCard, before: Mapping[str, Mapping[str, float]]
+) -> None:
+    """Warn if the network that the training began with errs less on the validation images."""
+    worse = [
+        f'{quantity} {before[quantity]["mae"]:.3g} before, {errors["mae"]:.3g} now'
+        for quantity, errors in card.errors.items() if errors['mae'] > before[quantity]['mae']
+    ]
+    if worse:
+        warn_once(
+            f'train: on the validation images {options.start} errs less ({"; ".join(worse)}); take '
+            'more images, or a lower --learning-rate'
+        )
 
 
 def _fit(

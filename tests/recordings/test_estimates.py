@@ -13,9 +13,13 @@ from synthetic import BEGUN_NS, PERIOD_NS, TYPES, Drive, header, make, path, rec
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import message_definition
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import proposals
 from taxinet_ros.recordings.reader import stamp_of
+from taxinet_ros.recordings.statistics import estimate_latency
+from taxinet_ros.recordings.truth import Poses, Truth
 
 OURS, VECTOR = 'taxinet_msgs/msg/TrackingError', 'geometry_msgs/msg/Vector3Stamped'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
@@ -209,8 +213,8 @@ def test_given_a_network_beside_recorded_estimates_then_they_are_compared_frame_
 
 
 @pytest.mark.parametrize(('word', 'line'), [
-    ('/seen:vector.y=m,vector.z=deg', 'signs of estimates or truth; .* a minus before a field of '
-     '/seen turns it'),
+    ('/seen:vector.y=m,vector.z=deg', r'signs of estimates or truth \(.* a minus before a field of '
+     r'/seen turns it\), or they are as wrong as that'),
     ('/seen:-vector.y=m,vector.z=deg', 'its cross-track error is in feet, expected m'),
     ('/seen:-vector.y=ft,vector.z=rad', 'its heading error is in degrees, expected rad'),
 ], ids=['sign', 'feet', 'degrees'])
@@ -292,3 +296,24 @@ def test_given_a_run_of_ours_without_pictures_then_its_estimates_are_scored_as_i
     ):
         code, out, err = taxinet(*words, more)
         assert (code, out, err.count('\n'), line in err) == (2, '', 1, True)
+
+
+def test_given_runs_steered_by_what_is_scored_then_no_latency_is_made_up():
+    # Steering makes turns follow from offset and heading, so that shifts look like scales.
+    trace = open_recording(GOLDEN / 'taxinet-midday').trace
+    stamps_ns, cte, he = (trace[name].to_numpy() for name in ('t_ns', 'cte_m', 'he_rad'))
+    still = np.zeros(len(cte))
+    truth = Truth(stamps_ns=stamps_ns, poses=Poses(
+        trace['x_m'].to_numpy(), trace['y_m'].to_numpy(), he, still + 5, still))
+    track = Scenario().line
+    for late_s, noise in ((0.0, (0, 0)), (0.0, LITTLE), (0.0, NOISE), (0.2, LITTLE)):
+        found = []
+        for seed in range(10):
+            errors = np.random.default_rng(seed).normal(BIAS, noise, (len(cte), 2))
+            shown = truth.at(stamps_ns - round(late_s * NS_PER_S))
+            seen = np.column_stack([shown.y_m, shown.yaw_rad]) + errors
+            found.append(estimate_latency([(truth, stamps_ns, seen)], track))
+        told = [one for one in found if not math.isnan(one.value_s)]
+        missed = [one for one in told if not one.low_s - 0.005 < late_s < one.high_s + 0.005]
+        assert len(missed) <= 1, missed
+        assert len(told) >= 5 or noise == NOISE

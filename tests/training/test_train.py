@@ -163,6 +163,19 @@ def test_given_weights_to_begin_from_then_training_goes_on_from_them(tmp_path: P
     assert np.abs(answers[1] - answers[0]).max() < np.abs(answers[2] - answers[0]).max() / 4
 
 
+def test_given_a_training_after_which_a_network_errs_more_then_a_warning_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str],
+) -> None:
+    first = train(options(tmp_path / 'first.safetensors', epochs=4))
+    assert capsys.readouterr().err == ''
+    after = train(options(tmp_path / 'after.safetensors', epochs=1, learning_rate=0.3,
+                          start=str(tmp_path / 'first.safetensors')))
+    before, now = (one.errors['cte_m']['mae'] for one in (first, after))
+    assert now > before, 'the same images are held out'
+    line = f'first.safetensors errs less (cte_m {before:.3g} before, {now:.3g} now'
+    assert line in capsys.readouterr().err
+
+
 def test_given_a_start_that_is_no_network_when_trained_then_refused_before_any_work(
     tmp_path: Path,
 ) -> None:

@@ -185,7 +185,9 @@ def score(
         from taxinet_ros.recordings.dataset import write_datasets
 
         for folder, count in write_datasets(found, dataset).items():
-            line_console(stderr=as_json).print(f'{count} labelled images: {folder}')
+            line_console(stderr=as_json).print(
+                f'{count} labelled images: {folder}' + ('' if found.setup.rig else '; of no known '
+                'camera, which networks with a view ask for: give --camera'))
     violated = spec and any(one.verdict == 'VIOLATED' for one in found.verdicts)
     return ExitCode.VIOLATED if violated else ExitCode.OK
 
