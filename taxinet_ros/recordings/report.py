@@ -60,13 +60,15 @@ def score_report(found: Score) -> Report:
             slice_table(found.gap, ('recorded', 'rendered'), 'score-gap')) if found.gap else (),
         'requirements': (_verdict_table(found),),
     }
+    errors = [
+        found.table.loc[found.scored, [f'{column}{end}' for _, _, column in QUANTITIES.values()]]
+        for end in ENDS[:len(networks)]
+    ]
     return fill_report(TEXT, {
         's': found, 'e': found.slices[0].errors, 'networks': networks,
         'comparison': found.slices[0].better, 'notable': NOTABLE_LATENCY_S,
-        'means': [[
-            float(found.table.loc[found.scored, f'{column}{end}'].mean())
-            for _, _, column in QUANTITIES.values()
-        ] for end in ENDS[:len(networks)]],
+        'means': [one.mean().tolist() for one in errors],
+        'spreads': [one.std(ddof=0).tolist() for one in errors],
         'names': {name: words for name, (words, _, _) in QUANTITIES.items()},
         'judged': judged_words(found), 'worst': any(found.worst),
     }, figures)

@@ -217,9 +217,12 @@ def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
     """Split into training and held-out rows, each in the order of the tables."""
     left = len(dataset) - options.validation
     if left < 1:
+        held = len(dataset) // 5 or 1
+        left = len(dataset) - held
+        batch = f' and --batch {left} or less' if options.batch > left else ''
         raise UsageError(
             f'train: {len(dataset)} images are too few to hold out {options.validation} of them, '
-            f'as --validation or its default says; use --validation {len(dataset) // 5 or 1}, or '
+            f'as --validation or its default says; use --validation {held}{batch}, or '
             '--validation-data FOLDER'
         )
     options.check_batch(left)

@@ -57,7 +57,7 @@ def test_given_a_latency_then_what_is_said_to_be_taken_off_is_what_was(taxinet, 
     own = taxinet(*words, 'estimated')[1]
     assert 's (0.' in own
     assert '), taken off.' in own
-    assert '(on average +0.50 m and +1.00 deg, left positive)' in ' '.join(own.split())
+    assert '(on average +0.50 m and +1.00 deg, left positive, with' in ' '.join(own.split())
     assert 'within 1.5 m of the centreline all the time.' in own
     for given, said in (('0.25', 'Taken off, as given: 0.250 s.\n'), (
             '-0.25', 'Taken off, as given: −0.250 s, which does not fit: positive is late.\n')):

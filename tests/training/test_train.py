@@ -203,6 +203,7 @@ def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_progra
     ('validation', 'batch', 'reason'), [
         (8, 1, '8 images are too few to hold out 8 of them, as --validation or its default says; '
          'use --validation 1, or --validation-data'),
+        (8, 64, 'use --validation 1 and --batch 7 or less, or --validation-data'),
         (4, 5, 'a batch of 5, as --batch or its default says, is more than the 4 images to train '
          'on; use --batch 4 or less'),
     ],
