@@ -181,7 +181,7 @@ def scenario_keys() -> str:
 
 def _scenario_key(field: ScenarioField, default: Any) -> list[str]:
     later = '; may change within a run' * field.varies
-    return [f'`{field.key}`', field.allowed, field.typed(default), f'{field.title}{later}']
+    return [f'`{field.key}`', field.allowed, field.as_typed(default), f'{field.title}{later}']
 
 
 def columns() -> str:

@@ -208,7 +208,7 @@ class ScenarioField:
             return self.catalogue.find(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
-    def typed(self, value: Any) -> str:
+    def as_typed(self, value: Any) -> str:
         """A value in SI units as a person would type it: ``12``, ``on``, ``caravan``."""
         human = self.to_human(value)
         if self.kind is Kind.SWITCH:

@@ -27,6 +27,16 @@ from taxinet_ros.arguments import check_fields, told
 from taxinet_ros.errors import UsageError
 
 NS_PER_S = 1_000_000_000
+FOOT_M = 0.3048
+"""The international foot, exactly."""
+_FLOATS = {float}
+"""Type of nearly all numbers below. It is checked first because the values are created in every
+control step, and checking each field by its annotation takes ten times as long."""
+Covariance = tuple[float, float, float, float]
+"""Row-major 2 x 2 covariance of (cross-track error [m], heading error [rad])."""
+UNKNOWN_COVARIANCE: Covariance = (0.0, 0.0, 0.0, 0.0)
+_ROUNDING = 1e-9
+"""Relative asymmetry, or negative eigenvalue, that is rounding in the filter that computed it."""
 
 
 def time_words(time_s: float, width: int = 0) -> str:
@@ -39,16 +49,6 @@ def time_words(time_s: float, width: int = 0) -> str:
     decimals = next(count for count in (1, 2, 3) if count == 3 or not round(
         time_s - round(time_s, count), 6))
     return f'{time_s:{width}.{decimals}f} s'
-FOOT_M = 0.3048
-"""The international foot, exactly."""
-_FLOATS = {float}
-"""Type of nearly all numbers below. It is checked first because the values are created in every
-control step, and checking each field by its annotation takes ten times as long."""
-Covariance = tuple[float, float, float, float]
-"""Row-major 2 x 2 covariance of (cross-track error [m], heading error [rad])."""
-UNKNOWN_COVARIANCE: Covariance = (0.0, 0.0, 0.0, 0.0)
-_ROUNDING = 1e-9
-"""Relative asymmetry, or negative eigenvalue, that is rounding in the filter that computed it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

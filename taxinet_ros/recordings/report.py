@@ -176,8 +176,9 @@ def _worst_frames(found: Score) -> Iterator[Picture | Table]:
     pictures = dict(row_pictures(found, sorted({row for rows in found.worst for row in rows})))
     for word, end, rows in zip(found.networks, ENDS, found.worst, strict=False):
         title = f'Worst frames of {shown_name(word)}'
-        captions = [(pictures[row], _worst_words(found, row, end)) for row in rows
-                    if row in pictures]
+        worst_in = relative_errors(found.table, end).loc[list(rows)].idxmax(axis=1)
+        captions = [(pictures[row], _worst_words(found, row, end, str(worst_in[row])))
+                    for row in rows if row in pictures]
         if captions:
             yield _grid(
                 f'score-frames{end}', title, 'Above each: time, and what is furthest off for this '
@@ -193,9 +194,8 @@ def _worst_frames(found: Score) -> Iterator[Picture | Table]:
                 list(rows), ['bag', *names]].itertuples(index=False)))
 
 
-def _worst_words(found: Score, row: int, end: str) -> str:
+def _worst_words(found: Score, row: int, end: str, quantity: str) -> str:
     """Time, and the quantity that made a frame one of the worst, true and estimated."""
-    quantity = str(relative_errors(found.table, end).loc[row].idxmax())
     words, unit, _ = QUANTITIES[quantity]
     name = {'cte': 'cte_m', 'heading': 'heading_error_deg'}[quantity]
     at: Any = found.table.loc[row]

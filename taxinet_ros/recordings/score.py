@@ -301,11 +301,10 @@ def make_setup(
     networks = (options.perception, *filter(None, (options.against,)))
     if len(set(networks)) < len(networks):
         raise UsageError(f'--against {options.against}: is --perception itself; name another')
-    image, blind = '', all(map(names_topic, networks))
-    if not (blind and options.image in ('', NO_IMAGE) and (
-            options.image or not recording.of_type(IMAGES))):
-        image = recording.topic(options.image, IMAGES, '--image')
-    elif options.camera or options.monitor:
+    without = all(map(names_topic, networks)) and (
+        options.image == NO_IMAGE or not (options.image or recording.of_type(IMAGES)))
+    image = '' if without else recording.topic(options.image, IMAGES, '--image')
+    if without and (options.camera or options.monitor):
         raise UsageError(
             f'--{"camera" if options.camera else "monitor"}: without pictures it has no effect')
     return Setup(

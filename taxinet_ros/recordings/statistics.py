@@ -177,8 +177,8 @@ def estimate_latency(
         known = np.isfinite(rows).all(axis=(0, 2)) & np.isfinite(seen).all(axis=1)
         # Between two samples interpolation averages their noise, which would favour those shifts.
         # Estimates alike, as the means of a turn are not its middle.
-        half = round(_SMOOTH_S * NS_PER_S / max(np.median(np.diff(stamps_ns)), 1e6)) \
-            if len(stamps_ns) > 1 else 0
+        apart_ns = np.median(np.diff(stamps_ns)) if len(stamps_ns) > 1 else NS_PER_S
+        half = round(_SMOOTH_S * NS_PER_S / max(apart_ns, 1e6))
         shifted.append(_smoothed(rows[:, known], half))
         estimates.append(_smoothed(seen[known], half))
         groups.append(np.full(len(estimates[-1]), number))

@@ -32,7 +32,7 @@ def keys(
     lines: list[dict[str, Any]] = [
         {
             'key': field.key, 'may_be': field.allowed,
-            'default': field.typed(getattr(plain, field.attribute)), 'what': field.title,
+            'default': field.as_typed(getattr(plain, field.attribute)), 'what': field.title,
             'varies': field.varies,
         }
         for field in SCENARIO_FIELDS

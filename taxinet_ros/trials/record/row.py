@@ -19,8 +19,15 @@ from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_KEY, CATALOGUES, SCENARIO_FIELDS, is_point
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    CATALOGUES,
+    CONTROL_RATE,
+    SCENARIO_FIELDS,
+    is_point,
+)
 from taxinet_ros.core.signals import checked_signals
+from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 
@@ -277,6 +284,11 @@ class RunRow(_SceneColumns):
         return {
             **{known.key: getattr(self, known.key) for known in SCENARIO_FIELDS}, **self.signals,
         }
+
+    @property
+    def period_ns(self) -> int:
+        """Control period of the run [ns]; the usual one if no scene could be drawn."""
+        return round(NS_PER_S / (self.control_rate_hz or CONTROL_RATE.absent))
 
     @property
     def unusable_share(self) -> float:

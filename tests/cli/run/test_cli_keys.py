@@ -39,5 +39,5 @@ def test_given_a_word_of_no_line_then_it_is_refused(taxinet):
 
 @pytest.mark.parametrize('field', SCENARIO_FIELDS, ids=lambda field: field.key)
 def test_given_the_default_as_it_is_listed_when_set_then_it_is_the_default(field):
-    listed = field.typed(getattr(Scenario(), field.attribute))
+    listed = field.as_typed(getattr(Scenario(), field.attribute))
     assert scenario_from_human({field.key: field.settled(listed)}) == Scenario()
