@@ -110,6 +110,8 @@ class GroundView:
     def render(self, rays: Vectors, camera: Vectors) -> NDArray[np.uint8]:
         """Render the ground times the gain, (height, width, 3) uint8, into a reused buffer.
 
+        Hidden columns, and rows at the top that see nothing but sky, keep what they have.
+
         Args:
             rays: maps a homogeneous pixel to a direction in ``map``, (3, 3).
             camera: camera position in ``map`` (3,).

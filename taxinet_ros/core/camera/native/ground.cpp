@@ -38,14 +38,9 @@ struct Place {
         const std::int32_t top = lesser(y >> kStepBits, rows - 2);
         const std::int32_t left = lesser(x >> kStepBits, columns - 2);
         offset = (top * columns + left) * kChannels;
-        const std::int32_t both = weights(x - left * kSteps, 8);
+        const std::int32_t both = weights_of(x - left * kSteps, 8);
         across = both << 16 | both;
-        down = weights(y - top * kSteps, 16);
-    }
-
-    // Weights of the first and the second of two texels, packed this many bits apart.
-    INLINE static std::int32_t weights(std::int32_t second, int bits) {
-        return (second << bits) + kSteps - second;
+        down = weights_of(y - top * kSteps, 16);
     }
 };
 
@@ -166,9 +161,15 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
     const std::size_t stride = static_cast<std::size_t>(width_) * kChannels;
     std::uint8_t *target = out.mutable_data();
     const float *dither = dither_.data();
+    const auto &[column_falls, row_falls] = view.fall;
+    const float steepest = std::max(column_falls.front(), column_falls.back());
+    int top = 0;
+    while (top < height_ && steepest + row_falls[top] <= 0) {
+        ++top;
+    }
     // The grain of a row is prefetched while the previous row is read: it is spread over more
     // memory than a core's cache holds; the ground of a row is not.
-    for (int v = 0; v <= height_; ++v) {
+    for (int v = top; v <= height_; ++v) {
         if (v < height_) {
             Places &ground = ground_places_[v % 2], &grain = grain_places_[v % 2];
             const bool grained = v >= first_grain_row;
@@ -180,7 +181,7 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
                 ask_for(grain_, grain, first);
             }
         }
-        if (v > 0) {
+        if (v > top) {
             const Layer ground{&atlas_, &ground_places_[(v - 1) % 2], {}};
             const Layer grain{v > first_grain_row ? &grain_ : nullptr, &grain_places_[(v - 1) % 2],
                               neutral_};

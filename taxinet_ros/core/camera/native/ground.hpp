@@ -77,7 +77,8 @@ class Ground {
     Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
            const std::array<int, 3> &neutral, float scale);
 
-    // Renders the ground for one pose, without the hidden columns at the left of each row.
+    // Renders the ground for one pose, without the hidden columns at the left of each row and the
+    // rows at the top that see nothing but sky.
     void sample(Bytes out, const Sight &sight, const Whole &hidden);
 
   private:

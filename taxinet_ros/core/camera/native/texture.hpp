@@ -38,6 +38,11 @@ struct Places {
     explicit Places(int width) : offset(width), across(width), down(width) {}
 };
 
+// Weights of the first and the second of two texels, packed this many bits apart.
+INLINE std::int32_t weights_of(std::int32_t second, int bits) {
+    return (second << bits) + kSteps - second;
+}
+
 // Bilinear interpolation of one channel; weights of the right and lower texels are in 32 steps.
 INLINE std::int32_t blended(const std::uint8_t *upper, const std::uint8_t *lower, int left,
                             int right, int of_right, int of_lower) {
