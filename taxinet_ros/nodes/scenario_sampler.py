@@ -71,7 +71,7 @@ _OPTIONS = (
         name='seed', default=0, limits=(0, 2**31 - 1), description='seed of the scenes',
     ),
     Parameter(
-        name='set', default=[''], takes='KEY=VALUE each, as --set of taxinet run',
+        name='set', default=[''], takes='KEY=VALUE each, as in taxinet run --set',
         description='scenario values that replace drawn ones',
     ),
     Parameter(
@@ -168,14 +168,14 @@ class StandaloneSampler(ScenarioSampler):
         with parameter_words():
             if not sampler and any(how.values()):
                 told = ', '.join(name for name, value in how.items() if value)
-                raise UsageError(f'--{told}: for a --sampler only; known: {", ".join(SAMPLERS)}')
+                raise UsageError(f'{told}: for a sampler only; known: {", ".join(SAMPLERS)}')
             what['runs'] = what['runs'] or (_RUNS_OF_A_SEARCH if sampler else _RUNS)
             self.campaign: CampaignOptions = make_options(
                 **what, perception='', processes=True, resume=how['resume']
             )
             if self.campaign.gains:
                 raise UsageError(
-                    f'--set steering.{next(iter(self.campaign.gains))}: the controller is already '
+                    f'steering.{next(iter(self.campaign.gains))}: the controller is already '
                     'running; set gains as its parameters'
                 )
             self.search: Search | None = make_search(

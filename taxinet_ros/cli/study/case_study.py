@@ -123,7 +123,8 @@ def case_study(
         show(study_heading(study, wanted, out))
         show(f'every stage runs in {out}')
         run = StudyRun(
-            out, wanted, record=record, work=call_stage, workers=study.workers, show=show)
+            out, wanted, record=record, work=call_stage, workers=study.workers, show=show,
+            again='--resume')
         try:
             run.run()
         except StoppedError as stopped:
