@@ -103,11 +103,11 @@ def test_given_every_name_of_the_package_then_it_is_among_those_tried():
 
 @pytest.mark.parametrize(('call', 'words'), [
     (lambda: tx.run(None), 'scenario: got None; expected a tx.Scenario'),
-    (lambda: tx.run(SHORT, bounds='cte'), "bound 'cte': expected SIGNAL="),
+    (lambda: tx.run(SHORT, bounds='cte'), "bounds 'cte': expected SIGNAL="),
     (lambda: tx.run(SHORT, perception=lambda frame: (True, False)), 'perception: answered (True'),
     (lambda: tx.robustness('x <= 1', RUN.trace.assign(x=0.0)),
      'trace: columns x and distance_m both'),
-    (lambda: tx.run(SHORT, bounds='he=-1:1'), 'bound he: has no effect: no requirement reads he'),
+    (lambda: tx.run(SHORT, bounds='he=-1:1'), 'bounds he: has no effect: no requirement reads he'),
     (lambda: tx.run(SHORT, latency=0.3), 'latency: got 0.3; expected a text or a list of texts'),
     (lambda: tx.run(SHORT, perception=tx.SteeringLaw), 'perception: the class SteeringLaw is'),
     (lambda: tx.run(SHORT, perception=lambda: None), 'perception: a function cannot be called'),

@@ -111,7 +111,7 @@ def test_given_topics_of_numbers_then_they_are_proposed_with_the_form_of_their_w
         *heard(ARRAY, lambda ns, cte, he: array(cte, he), topic='/array', seconds=1),
         ('/time', 'builtin_interfaces/msg/Time', stamp, BEGUN_NS)]))
     assert {row['topic']: row['use'] for row in proposals(bag)} == {
-        '/cam': '--image', '/fix': '--truth', '/imu': '--heading', '/seen': '--perception',
+        '/cam': 'image', '/fix': 'truth', '/imu': 'heading', '/seen': 'perception',
         '/feet': 'perception /feet:FIELD=m,FIELD=rad',
         '/array': 'perception /array:FIELD=m,FIELD=rad', '/time': ''}
 

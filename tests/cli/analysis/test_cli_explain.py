@@ -159,7 +159,7 @@ def test_given_a_run_that_cannot_be_driven_again_then_its_frames_are_asked_or_on
 
 
 @pytest.mark.parametrize(('words', 'complaint'), [
-    ((), 'was run with ground truth, not a network; name one as perception'),
+    ((), 'was run with ground truth, not a network; name one with --perception'),
     (('--perception', 'truth'), 'uses no camera image; name a network'),
     (('--perception', 'taxinett'), "perception: 'taxinett' is unknown"),
     (('--perception', 'taxinet', '--frames', '0'), 'frames'),

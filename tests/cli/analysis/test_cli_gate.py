@@ -92,7 +92,7 @@ def test_given_a_junit_file_then_it_replaces_its_own_and_neither_a_record_nor_a_
     for name in (RECORD_NAME, 'runs.csv'):
         code, said, err = taxinet(*words, f'before/{name}')
         assert (code, said) == (2, '')
-        assert f'error: junit before/{name}: is the name of a record in before' in err
+        assert f'error: --junit before/{name}: is the name of a record in before' in err
     assert (before / RECORD_NAME).read_bytes() == record
     table = bytearray((tmp_path / 'gate-runs.parquet').read_bytes())
     table[100] ^= 1  # in the first page of data

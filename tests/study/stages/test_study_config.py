@@ -131,8 +131,8 @@ def test_given_a_study_that_was_begun_then_its_numbers_come_back(tmp_path):
     small = scaled(SHIPPED, 0.02)
     with open_study(tmp_path, print) as record:
         record.put(OPTIONS, 'case-study', dataclasses.asdict(small))
-    assert typed(StudyConfig, read_options(tmp_path, 'case-study', '--resume')) == small
+    assert typed(StudyConfig, read_options(tmp_path, 'case-study', 'resume')) == small
     for folder, command in ((tmp_path, 'improve'), (tmp_path / 'elsewhere', 'case-study')):
         refusal = f'report_only: {folder}: no study of taxinet {command}'
         with pytest.raises(UsageError, match=refusal):
-            read_options(folder, command, '--report-only')
+            read_options(folder, command, 'report_only')

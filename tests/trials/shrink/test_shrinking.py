@@ -316,8 +316,8 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         {'outcome': Outcome.REJECTED, 'distance_m': None}, {}, 'no scene was drawn'),
     'other weights': (
         {'fingerprint': 'ab' * 32}, {},
-        'truth is without weights here, and was sha256 abababababab… in the runs; say with '
-        '--perception where it is'),
+        'truth is without weights here, and was sha256 abababababab… in the runs; name it as '
+        'perception, at its new place or as it is'),
     'lost file': ({'perception': 'gone.onnx'}, {}, 'name it as perception'),
 }
 
