@@ -13,7 +13,6 @@ import inspect
 import math
 import numbers
 import os
-import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -177,40 +176,6 @@ def takes(**kinds: Kind) -> Callable[[Callable[P, T]], Callable[P, T]]:
         return call
 
     return decorate
-
-
-_OPTION = re.compile(r'(taxinet [^;,]*)|(?<![\w-])--([a-z][a-z-]*[a-z])')
-_PARAMETERS = {
-    'spec': 'specs', 'set': 'settings', 'sampler-option': 'sampler_options', 'bound': 'bounds',
-    'rate': 'rates',
-}
-"""Command-line options whose Python parameter has another name."""
-
-
-def python_words(line: str) -> str:
-    """Rewrite a message about ``taxinet run`` options for Python callers; commands are kept.
-
-    ``--sampler-option floor=0.3`` becomes ``sampler_options floor=0.3``.
-    """
-    def parameter(found: re.Match[str]) -> str:
-        command, option = found.groups()
-        return command or _PARAMETERS.get(option, option.replace('-', '_'))
-
-    return _OPTION.sub(parameter, line)
-
-
-def says_parameters(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a function that shares checks with the command line: errors name parameters."""
-    @functools.wraps(function)
-    def call(*args: P.args, **given: P.kwargs) -> T:
-        try:
-            return function(*args, **given)
-        except UsageError as error:
-            if type(error) is not UsageError or (words := python_words(str(error))) == str(error):
-                raise
-            raise UsageError(words) from error
-
-    return call
 
 
 def check_fields(value: Any) -> None:

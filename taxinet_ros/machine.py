@@ -34,7 +34,7 @@ _MEMORY_OF_A_GRAPH, _SHARED_OF_A_GRAPH = 1.5e9, 64e6
 _BAG_BYTES, _ROOM_BYTES = 35e6, 2e9
 _DISCOVERY_S = 10.0
 _EXTRAS = {
-    'distributed': '--cluster', 'mss': '--camera xplane from a window',
+    'distributed': 'a cluster', 'mss': 'camera xplane from a window',
 }
 """Optional distributions, and what needs them."""
 
@@ -136,8 +136,8 @@ def _ros(name: str) -> Iterator[Check]:
     except ImportError as error:
         yield Check(
             name, 'broken', f'no ROS 2 in this Python: {error}',
-            'make installs it as wheels, or source a Jazzy installation; --engine loop --audit 0 '
-            'and import taxinet_ros need none',
+            'make installs it as wheels, or source a Jazzy installation; engine loop with audit '
+            '0 and import taxinet_ros need none',
         )
         return
     middleware = utilities.get_rmw_implementation_identifier()
@@ -258,7 +258,8 @@ def _memory(name: str) -> Iterator[Check]:
     if room < _SHARED_OF_A_GRAPH:
         yield Check(
             'shared memory', 'broken', f'{room / 1e6:.0f} MB free in {place}',
-            'end other graphs, remove leftover fastrtps_* there, or give the container --shm-size',
+            'end other graphs, remove leftover fastrtps_* there, or give the container a larger '
+            'shm-size',
         )
     else:
         yield Check('shared memory', 'ok', f'{room / 1e6:,.0f} MB free in {place}')

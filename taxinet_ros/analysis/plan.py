@@ -72,12 +72,13 @@ class Claim:
             UsageError: one is out of range, or of no effect.
         """
         if not 0 <= self.threshold <= 1:
-            raise UsageError(f'--{self.criterion} {self.threshold:g}: needs to be within 0..1')
+            name = self.criterion.replace('-', '_')
+            raise UsageError(f'{name} {self.threshold:g}: needs to be within 0..1')
         check_claim(self.limit, self.confidence)
         if self.failures is not None and not 0 <= self.failures <= 1000:
-            raise UsageError(f'--failures {self.failures}: needs to be within 0..1000')
+            raise UsageError(f'failures {self.failures}: needs to be within 0..1000')
         if self.if_true is not None and not 0 <= self.if_true <= 1:
-            raise UsageError(f'--if-true {self.if_true:g}: needs to be within 0..1')
+            raise UsageError(f'if_true {self.if_true:g}: needs to be within 0..1')
 
     @property
     def off(self) -> bool:
@@ -181,11 +182,11 @@ def parse_so_far(text: str) -> ProgramRate:
     """
     parts = text.split(':')
     if len(parts) != 2 or not all(part.strip().isdecimal() for part in parts):
-        raise UsageError(f'--so-far {text}: expected RUNS:FAILURES, as in 4000:6')
+        raise UsageError(f'so_far {text}: expected RUNS:FAILURES, as in 4000:6')
     runs, bad = map(int, parts)
     if not 0 <= bad <= runs <= MOST_FURTHER or not runs:
         raise UsageError(
-            f'--so-far {text}: expected 1 to {MOST_FURTHER:,} runs, and no more failures'
+            f'so_far {text}: expected 1 to {MOST_FURTHER:,} runs, and no more failures'
         )
     return ProgramRate(runs=runs, hits=bad, drawn=runs, drawn_hits=bad, anytime=True)
 
@@ -209,7 +210,7 @@ def plan_claim(
         powered = plan_with_power(claim.limit, claim.confidence, truth, claim.power)
     elif claim.power != 0.9 and campaign is None and so_far is None:
         raise UsageError(
-            f'--power {claim.power:g}: only with --if-true, the share it is of, or a campaign'
+            f'power {claim.power:g}: only with if_true, the share it is of, or a campaign'
         )
     most = _SHOWN_FAILURES if claim.failures is None else claim.failures
     allowed = range(most + 1) if claim.failures is None else _allowed(most)
@@ -265,7 +266,7 @@ def _found(claim: Claim, campaign: RecordedCampaign) -> ProgramRate:
         if unknown:
             raise UsageError(
                 f'{campaign.folder}: {unknown} of {len(campaign.judged)} runs were stopped too '
-                'early to know whether they leave the runway; run it without --stop-on'
+                'early to know whether they leave the runway; run it without stop_on'
             )
         found = rate_of(campaign.rows, lambda row: bool(row.left_runway), campaign.planned_runs)
     if found.why_not:

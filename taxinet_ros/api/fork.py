@@ -523,7 +523,7 @@ def sweep_past(
     from taxinet_ros.analysis.one_run.fork import value_before
 
     if key in change['settings']:
-        raise UsageError(f'--sweep {key}: is given by --set too; leave one out')
+        raise UsageError(f'sweep {key}: is in the settings too; leave one out')
     recorded, points = value_before(past.recording, key), []
     for value in values:
         # As recorded is no change, but is a point of the curve.

@@ -37,7 +37,6 @@ from taxinet_ros.arguments import (
     Kind,
     a,
     has_parameter,
-    says_parameters,
     takes,
     told,
 )
@@ -100,7 +99,7 @@ if TYPE_CHECKING:
     from taxinet_ros.api.plots import Plot
     from taxinet_ros.core.fork import Fork
 
-CALLER = 4
+CALLER = 3
 """Stack level of the caller for warnings, past the frames that check arguments."""
 _MOST_S = 1e9
 NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -351,7 +350,6 @@ def load_perception(word_or_file: str) -> Perception:
 @takes(
     scenario=_SCENARIO, stop_on=WORD, bounds=TEXTS, rates=TEXTS, latency=TEXTS, world=WORD,
 )
-@says_parameters
 def run(
     scenario: Scenario, *, perception: str | Perception | Look = 'truth',
     controller: str | Controller | Steer = STEERING,
@@ -515,7 +513,6 @@ def robustness(
     spec: str | Spec, trace: pd.DataFrame, *, explain: Literal[True]
 ) -> Explanation: ...
 @takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE, explain=FLAG)
-@says_parameters
 def robustness(
     spec: str | Spec, trace: pd.DataFrame, *, explain: bool = False
 ) -> float | Explanation:

@@ -26,8 +26,6 @@ from taxinet_ros.arguments import (
     PATH,
     TEXTS,
     WORD,
-    python_words,
-    says_parameters,
     takes,
 )
 from taxinet_ros.core.assurance.switch import check_controller
@@ -59,7 +57,6 @@ from taxinet_ros.trials.worker_pool import WorkerPool
     objective=NONE | WORD,
     progress=NONE | FLAG,
 )
-@says_parameters
 def falsify(
     program: str | os.PathLike[str], *, runs: int = 100, seed: int = 0, sampler: str | None = None,
     sampler_options: Mapping[str, object] | None = None, perception: str = 'taxinet',
@@ -144,7 +141,6 @@ def falsify(
     latency=TEXTS, world=WORD, workers=FROM_1, out=NONE | PATH, resume=FLAG,
     progress=NONE | FLAG,
 )
-@says_parameters
 def estimate(
     program: str | os.PathLike[str], *, down_to: float = 1e-5,
     runs: int = 4000, islands: int = 8, seed: int = 0, perception: str = 'taxinet',
@@ -235,7 +231,7 @@ def _opened(search: Engine[Search]) -> Iterator[ClusterPool | None]:
             ))
         opened.enter_context(search)
         for line in (*filter(None, [search.book.warning]), *search.proposer.check.warnings):
-            warnings.warn(python_words(line), stacklevel=CALLER + 2)
+            warnings.warn(line, stacklevel=CALLER + 2)
         yield led
 
 

@@ -52,7 +52,7 @@ def run_subjects(words: Sequence[str], repeats: int, progress: Progress) -> Repo
     if unknown:
         raise UsageError(f'bench: {unknown[0]!r} is unknown; known: {", ".join(SUBJECTS)}')
     if repeats < 1:
-        raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
+        raise UsageError(f'bench: repeats is {repeats}, needs to be 1 or more')
     chosen = {*(words or SUBJECTS), *(['loop'] if GRAPH in words else [])}
     makers = [SUBJECTS[word] for word in SUBJECTS if word in chosen]
     figures = measure_all(makers, repeats, progress)

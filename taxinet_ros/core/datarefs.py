@@ -115,7 +115,7 @@ def refuse_datarefs(text: str, who: str) -> None:
         names = ', '.join(find_datarefs(text).values)
         raise UsageError(
             f'{who}: {names:.200} would have no effect; leave it out, or take X-Plane '
-            '(--camera xplane, --world xplane)'
+            '(camera xplane, world xplane)'
         )
 
 

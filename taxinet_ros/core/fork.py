@@ -155,7 +155,7 @@ def check_changeable(before: Scenario, after: Scenario) -> None:
             known = ', '.join(one.key for one in CHANGEABLE)
             raise UsageError(
                 f'fork: {field.key} cannot change during a run; what can: {known}; the pose of the '
-                'aircraft by --state'
+                'aircraft by offsets'
             )
 
 

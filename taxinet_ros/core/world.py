@@ -246,7 +246,7 @@ def world_word(world: str, camera: str | None) -> str:
         return world
     alone, named = world_and_camera(world)
     if named not in (OURS, camera):
-        raise UsageError(f'--camera {camera}: --world {world} names another; leave one out')
+        raise UsageError(f'camera {camera}: world {world} names another; leave one out')
     return alone if camera == OURS else f'{alone}+{camera}'
 
 

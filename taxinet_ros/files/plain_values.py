@@ -183,7 +183,7 @@ def read_yaml(path: Path, *, option: str = '', fix: str = '') -> object:
 
     Args:
         path: the file, UTF-8.
-        option: prefix of the error if the file cannot be read, as in ``--spec``.
+        option: prefix of the error if the file cannot be read, as in ``specs``.
         fix: advice appended to syntax errors.
 
     Raises:

@@ -209,7 +209,7 @@ def read_record(path: Path, as_text: Collection[str] = ()) -> Entries:
         raise UsageError(f'{path}: no such file')
     entries = _read(path, as_text)
     for why in entries.get(_LOST, {}).values():
-        raise UsageError(f'{path}: was damaged ({why}); continue it to its end with --resume')
+        raise UsageError(f'{path}: was damaged ({why}); resume it to its end')
     return entries
 
 
@@ -287,7 +287,7 @@ def repair_record(path: Path) -> str:
         Path(f'{draft}-journal').unlink(missing_ok=True)
         if not entries:
             raise UsageError(
-                f'{path}: damaged ({why}), and no entry of it can be read; choose another --out'
+                f'{path}: damaged ({why}), and no entry of it can be read; choose another folder'
             )
         number = 1
         while (copy := path.with_name(f'{path.name}.damaged-{number}')).exists():
@@ -576,7 +576,7 @@ def _lock_file(path: Path) -> Path:
 
 _NO_LOCKS = (
     '{}: its file system locks no files ({}), so commands could overwrite the entries of each '
-    'other; choose an --out on another, or mount it with locks'
+    'other; choose a folder on another, or mount it with locks'
 )
 
 

@@ -108,6 +108,6 @@ def file_sha256(path: Path) -> str:
 
 def _damaged(path: Path, why: str) -> UsageError:
     return UsageError(
-        f'{path}: damaged or edited ({why}); restore it, or make it anew with --resume; see '
+        f'{path}: damaged or edited ({why}); restore it, or resume to make it anew; see '
         f'taxinet doctor {path.parent}'
     )

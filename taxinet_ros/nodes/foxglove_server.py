@@ -22,9 +22,9 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.observer import Observer
+from taxinet_ros.nodes.messages.markers import MovingMarkers, ground_markers
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
-from taxinet_ros.nodes.scene_markers import MovingMarkers, ground_markers
 
 if TYPE_CHECKING:
     from foxglove import Channel

@@ -42,10 +42,10 @@ def write_datasets(found: Score, out: Path) -> dict[str, int]:
     """
     bags = {out / one.recording.path.stem: str(one.recording.path) for one in found.bags}
     if len(bags) < len(found.bags):
-        raise UsageError(f'--dataset {out}: two recordings have the same name; rename one')
+        raise UsageError(f'dataset {out}: two recordings have the same name; rename one')
     for folder in bags:
         if folder.exists():
-            raise UsageError(f'--dataset {out}: {folder} exists; choose a new folder')
+            raise UsageError(f'dataset {out}: {folder} exists; choose a new folder')
     counts, rig = {}, found.setup.rig
     for folder, bag in bags.items():
         make_folder(folder / IMAGES)

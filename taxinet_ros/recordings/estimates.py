@@ -130,8 +130,8 @@ class RecordedEstimates(Perception):
         if hasattr(message, 'header') or (by_log and not pictures):
             return
         raise UsageError(
-            f'{begun}, which has no header, so what it belongs to is unknown; --image none '
-            '--stamps log compares it with the truth at the time of its recording')
+            f'{begun}, which has no header, so what it belongs to is unknown; image none '
+            'with stamps log compares it with the truth at the time of its recording')
 
     def _values(self, message: Any, kind: str) -> tuple[float, float]:
         """Cross-track [m] and heading error [rad]; NaN, both, if one is none."""
@@ -172,7 +172,7 @@ def match(
             f'{name}: none of {len(found)} estimates has the stamp of one of {len(stamps_ns)} '
             f'{others} (the nearest is {np.median(off_ns) / NS_PER_S:+.3f} s off): who publishes '
             'estimates has to copy the stamp of the picture' + (
-                '; --image none compares them with the truth at their own stamps' if image else ''))
+                '; image none compares them with the truth at their own stamps' if image else ''))
     values = first[['cte_m', 'he_rad']].to_numpy(np.float64)[near]
     values[~hit] = math.nan
     counts = {
@@ -190,14 +190,14 @@ def _fields(word: str, text: str) -> tuple[Field, ...]:
     known = [part for part in parts if part is not None]
     if len(parts) != len(_WANTED) or len(known) < len(parts):
         raise UsageError(
-            f'--perception {word}: expected two fields with their units, cross-track and heading '
+            f'perception {word}: expected two fields with their units, cross-track and heading '
             f'error: {word.partition(":")[0]}:{_FORM}')
     found = []
     for part, (what, dimension) in zip(known, _WANTED, strict=True):
         sign, path, unit = part.groups()
         if unit not in UNITS or UNITS[unit].dimension != dimension:
             raise UsageError(
-                f'--perception {word}: {path} is the {what} error, and its unit {unit}; expected '
+                f'perception {word}: {path} is the {what} error, and its unit {unit}; expected '
                 f'{kind_words(dimension)}')
         found.append(Field(tuple(path.split('.')), in_si(f'{sign}1', unit)))
     return tuple(found)

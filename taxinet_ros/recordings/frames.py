@@ -158,20 +158,20 @@ def resolved_source(source: TruthSource, recording: Recording, own: bool) -> Tru
     if not source.topic and own:
         odometry = [name for name in recording.types if name.endswith(ODOMETRY.name)]
         source = replace(source, topic=odometry[0] if len(odometry) == 1 else '')
-    topic = recording.topic(source.topic, TRUTHS, '--truth')
+    topic = recording.topic(source.topic, TRUTHS, 'truth')
     source, kind = replace(source, topic=source.topic or topic), recording.types[topic]
     if kind == FIX:
         if source.frame:
-            raise UsageError(f'--frame: {topic} has latitude and longitude; leave it out')
+            raise UsageError(f'frame: {topic} has latitude and longitude; leave it out')
         return source
     if not source.frame and not own:
         raise UsageError(
-            f'--truth {topic}: poses of {kind} are in a frame that the bag does not place on the '
-            'Earth; add --frame runway, or --frame LAT,LON of the origin of an east-north-up frame')
+            f'truth {topic}: poses of {kind} are in a frame that the bag does not place on the '
+            'Earth; name their frame: runway, or LAT,LON of the origin of an east-north-up frame')
     source = replace(source, frame=source.frame or RUNWAY)
     if source.compass and source.frame == RUNWAY and not source.heading:
         raise UsageError(
-            '--heading-is: poses in the runway frame have no north; leave it out')
+            'heading_is: poses in the runway frame have no north; leave it out')
     return source
 
 
@@ -186,7 +186,7 @@ def read_frames(
     by_log = setup.source.by_log
     reader = TruthReader(setup.source, recording, setup.place.runway)
     if setup.image:
-        recording.topic(setup.image, IMAGES, '--image')
+        recording.topic(setup.image, IMAGES, 'image')
     recorded = {
         number: one.read(recording, bool(setup.image), by_log)
         for number, one in enumerate(perceptions) if isinstance(one, RecordedEstimates)
@@ -233,7 +233,7 @@ def read_frames(
             setup.image)
         seen[columns[2 * number:2 * number + 2]] = values
         notes |= dict.fromkeys(lines)
-    aside = '; --image none does without pictures' if len(recorded) == len(perceptions) else ''
+    aside = '; image none does without pictures' if len(recorded) == len(perceptions) else ''
     return Frames(
         recording=recording, topic=setup.frames_topic, truth=reader.finish(),
         seen=seen.astype({'stamp_ns': np.int64, 'logged_ns': np.int64}),
@@ -255,8 +255,8 @@ def prepared(networks: Sequence[str], rig: Rig | None) -> list[Perception]:
         one = image_perception(word)
         if rig is None and getattr(one, 'view', None) is not None:
             raise UsageError(
-                f'--perception {word}: sees through a virtual camera, for which the real one has '
-                'to be known; describe it with --camera FILE (docs/world.md)')
+                f'perception {word}: sees through a virtual camera, for which the real one has '
+                'to be known; describe it in a camera file (docs/world.md)')
         one.begin(rig)
         perceptions.append(one)
     return perceptions
@@ -274,7 +274,7 @@ def shown(pixels: NDArray[np.uint8], rig: Rig | None) -> NDArray[np.uint8]:
         (height, width), camera = pixels.shape[:2], rig.camera
         raise UsageError(
             f'the pictures are {width} x {height}, camera {camera.name} has {camera.width_px} x '
-            f'{camera.height_px}; describe theirs with --camera FILE (docs/world.md)')
+            f'{camera.height_px}; describe theirs in a camera file (docs/world.md)')
     return pixels
 
 
@@ -394,7 +394,7 @@ def time_notes(frames: Frames, truth: str) -> list[str]:
         return notes
     if not stamps.any():
         return [*notes, f'{frames.topic}: its headers have no stamps; use the times of recording '
-                '(--stamps log)']
+                '(stamps log)']
     apart_s = max(int(own[0] - stamps[-1]), int(stamps[0] - own[-1])) / NS_PER_S
     if apart_s <= 0:
         return notes
@@ -407,7 +407,7 @@ def time_notes(frames: Frames, truth: str) -> list[str]:
     else:
         why = f'{shift_s:+.1f} s between their beginnings: clocks that were not synchronised'
     return [*notes, f'{frames.topic} and {truth} do not overlap in time ({why}); use the '
-            'times of recording (--stamps log)']
+            'times of recording (stamps log)']
 
 
 def place_notes(table: pd.DataFrame, setup: Setup) -> list[str]:
@@ -423,8 +423,8 @@ def place_notes(table: pd.DataFrame, setup: Setup) -> list[str]:
         far = math.hypot(beyond, cte)
         notes.append(
             f'{len(off)} of {len(known)} frames are off {setup.track.name} of {setup.place.name}, '
-            f'by {far:,.0f} m: another place, another runway (--track), or '
-            + ('another --frame' if setup.source.frame else 'latitude and longitude swapped'))
+            f'by {far:,.0f} m: another place, another runway (track), or '
+            + ('another frame' if setup.source.frame else 'latitude and longitude swapped'))
     turned = known['heading_error_deg'].abs()
     if len(known) and float(turned.median()) > 150:
         notes.append(
@@ -445,20 +445,20 @@ def _info_notes(topic: str, message: Any, rig: Rig | None) -> Iterator[str]:
     if size != (camera.width_px, camera.height_px) or focal >= _FOCAL_SHARE or centre >= _SLACK_PX:
         yield (
             f'{topic}: {size[0]} x {size[1]}, focal lengths {fx:.1f}, {fy:.1f}, centre {cx:.1f}, '
-            f'{cy:.1f}; camera {camera.name} has other values: calibrate --camera to the bag')
+            f'{cy:.1f}; camera {camera.name} has other values: calibrate the camera to the bag')
 
 
 def proposals(path: Path) -> list[dict[str, Any]]:
     """Topic, type, number of messages and use of all topics of a bag, the most frequent first."""
     recording = Recording(path)
-    uses = {'--image': IMAGES, '--truth': TRUTHS, '--heading': HEADINGS,
-            '--perception': (TRACKING_ERROR,), 'checks --camera': (CAMERA_INFO,)}
+    uses = {'image': IMAGES, 'truth': TRUTHS, 'heading': HEADINGS,
+            'perception': (TRACKING_ERROR,), 'checks camera': (CAMERA_INFO,)}
     found = []
     for name, count in recording.counts.most_common():
         kind = recording.types[name]
         use = ', '.join(use for use, types in uses.items() if kind in types)
         if not use and not kind.startswith('taxinet_msgs/'):
             word = proposed_word(recording, name)
-            use = f'--perception {word}' if word else ''
+            use = f'perception {word}' if word else ''
         found.append({'topic': name, 'type': kind, 'messages': count, 'use': use})
     return found

@@ -139,8 +139,8 @@ class Recording:
             return name
         listed = ', '.join(f'{one} ({self.counts[one]})' for one in found)
         if not name and len(found) > 1:
-            what = 'two cameras, or the same twice' if option == '--image' else 'several'
-            raise UsageError(f'{self.path}: {what}: {listed}; choose with {option}')
+            what = 'two cameras, or the same twice' if option == 'image' else 'several'
+            raise UsageError(f'{self.path}: {what}: {listed}; name one as {option}')
         if not name and found:
             return found[0]
         why = f'no such topic: {name} is not in it' if name else 'no topic for it'

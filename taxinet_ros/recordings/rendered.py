@@ -55,7 +55,7 @@ def metar_weather(text: str) -> tuple[dict[str, Any], list[str]]:
         elif _UNSHOWN.fullmatch(word):
             unshown.append(word)
     if not clouds:
-        raise UsageError(f'--metar {text!r:.60}: names no clouds; expected such as BKN040 or CLR')
+        raise UsageError(f'metar {text!r:.60}: names no clouds; expected such as BKN040 or CLR')
     if rain and clouds not in RAIN_CLOUDS:
         clouds = RAIN_CLOUDS[0]
     return {'clouds': clouds, 'rain_percent': rain}, unshown
@@ -73,7 +73,7 @@ def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
     """
     setup, at = found.setup, found.table[found.scored].iloc[0].to_dict()
     if setup.rig is None:
-        raise UsageError('--simulate: needs to know the camera; describe it with --camera FILE')
+        raise UsageError('simulate: needs to know the camera; describe it in a camera file')
     own = found.scenario
     line, kept = setup.track, {} if own is None else own.to_human()
     limits = (
@@ -101,10 +101,10 @@ def _night_notes(scenario: Scenario, brightness: float) -> list[str]:
         return []
     clock = clock_words(scenario.time_of_day_s / 3600)
     return [
-        f'--simulate: on {scenario.date} at {clock} the sun is '
+        f'simulate: on {scenario.date} at {clock} the sun is '
         f'{-math.degrees(elevation_rad):.0f} deg below the horizon, but the recorded pictures are '
         f'bright (mean grey {brightness:.0f}): stamps in local time instead of UTC, the '
-        'time_zone of the place, or the date; give what it was, --set time_of_day=HH:MM --set '
+        'time_zone of the place, or the date; set what it was: time_of_day=HH:MM, '
         'date=YYYY-MM-DD']
 
 

@@ -288,25 +288,25 @@ def make_setup(
         UsageError: the place is unknown, or a topic is missing or not the only one.
     """
     if not options.place and scenario is None:
-        raise UsageError('score: --place is missing: a name or file of `taxinet place`')
+        raise UsageError('score: place is missing: a name or file of `taxinet place`')
     place = typed_place(options.place or (scenario.place if scenario else ''))
     track = place.track(options.track or (
         scenario.track if scenario and not options.place else RUNWAY_TRACK))
     rig = scenario.rig if scenario else None
     if options.camera or options.aircraft:
         if not options.camera:
-            raise UsageError('--aircraft: without --camera it has no effect')
+            raise UsageError('aircraft: without a camera it has no effect')
         rig = Rig(camera=CAMERAS.typed(options.camera), aircraft=AIRCRAFT.typed(
             options.aircraft or DEFAULT_AIRCRAFT))
     networks = (options.perception, *filter(None, (options.against,)))
     if len(set(networks)) < len(networks):
-        raise UsageError(f'--against {options.against}: is --perception itself; name another')
+        raise UsageError(f'against {options.against}: is the perception itself; name another')
     without = all(map(names_topic, networks)) and (
         options.image == NO_IMAGE or not (options.image or recording.of_type(IMAGES)))
-    image = '' if without else recording.topic(options.image, IMAGES, '--image')
+    image = '' if without else recording.topic(options.image, IMAGES, 'image')
     if without and (options.camera or options.monitor):
         raise UsageError(
-            f'--{"camera" if options.camera else "monitor"}: without pictures it has no effect')
+            f'{"camera" if options.camera else "monitor"}: without pictures it has no effect')
     return Setup(
         place=place, track=track, rig=rig, networks=networks, image=image,
         source=resolved_source(options.source, recording, scenario is not None),
@@ -326,14 +326,14 @@ def _applied(given: str, latency: Latency) -> float:
     if given == ESTIMATED:
         if math.isnan(latency.value_s):
             raise UsageError(
-                f'--latency estimated: it cannot be estimated here: {latency.why}; give seconds')
+                f'latency estimated: it cannot be estimated here: {latency.why}; give seconds')
         return latency.value_s
     try:
         seconds = float(given or 0)
     except ValueError:
         seconds = math.nan
     if not abs(seconds) <= 10:
-        raise UsageError(f'--latency {given!r:.40}: expected seconds, at most 10, or estimated')
+        raise UsageError(f'latency {given!r:.40}: expected seconds, at most 10, or estimated')
     return seconds
 
 
@@ -354,7 +354,7 @@ def _bag_notes(frames: Frames, table: pd.DataFrame, setup: Setup) -> Iterator[st
 
 def _nothing(table: pd.DataFrame, notes: Sequence[str]) -> str:
     counts = ', '.join(f'{count} {status}' for status, count in Counter(table['status']).items())
-    why = notes[0] if notes else 'see --topics, --truth and --place'
+    why = notes[0] if notes else 'check truth and place (taxinet score --topics)'
     return f'score: none of {len(table)} frames can be compared ({counts}): {why}'
 
 
@@ -365,7 +365,7 @@ def _check_read(specs: Sequence[Spec]) -> None:
         for name in signal_names(spec.formula):
             if name not in readable:
                 raise UsageError(
-                    f'--spec {spec.name}: reads {name}, which a recording does not tell; it tells '
+                    f'spec {spec.name}: reads {name}, which a recording does not tell; it tells '
                     f'{", ".join(sorted(readable))}')
 
 
@@ -557,7 +557,7 @@ def _watch(found: Score, word: str) -> dict[str, Any]:
     rig, table = found.setup.rig, found.table
     if rig is None:
         raise UsageError(
-            f'--monitor {word}: needs to know the camera; describe it with --camera FILE')
+            f'monitor {word}: needs to know the camera; describe it in a camera file')
     monitor = make_monitor(word)
     kinematics = monitor.calibration.fitted.kinematics if isinstance(
         monitor, CalibratedMonitor) else None

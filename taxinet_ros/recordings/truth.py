@@ -202,7 +202,7 @@ def find_leap(name: str, stamps: Sequence[int], logged: Sequence[int]) -> Leap:
     return Leap(at + 1, (
         f'{name}: its clock leaps by {steps[at] - recorded[at]:+.1f} s at message {at + 1}, and '
         'what comes after it is not used: a clock that was set, or several recordings in one; use '
-        'the times of recording (--stamps log)'))
+        'the times of recording (stamps log)'))
 
 
 class TruthReader:
@@ -215,10 +215,10 @@ class TruthReader:
             UsageError: a topic is missing or of another type, or the frame of poses is unknown.
         """
         self.source, self._runway = source, runway
-        self._kind = recording.types[recording.topic(source.topic, TRUTHS, '--truth')]
+        self._kind = recording.types[recording.topic(source.topic, TRUTHS, 'truth')]
         heading = '' if source.heading == TRACK else source.heading
         if heading:
-            recording.topic(heading, HEADINGS, '--heading')
+            recording.topic(heading, HEADINGS, 'heading')
         self._heading_topic = heading
         self.topics = {source.topic_name, *filter(None, (heading,))}
         if self._kind == TRANSFORMS:
@@ -277,7 +277,7 @@ class TruthReader:
         if len(stamps) < 2:
             why = ', '.join(f'{count} {name}' for name, count in positions.left_out.items())
             raise UsageError(
-                f'--truth {self.source.topic}: {len(stamps)} usable samples'
+                f'truth {self.source.topic}: {len(stamps)} usable samples'
                 f'{f" ({why})" if why else ""}; name another topic (taxinet score --topics BAG)')
         heading = self._heading_at(stamps, values)
         if self._kind == FIX:
@@ -311,7 +311,7 @@ class TruthReader:
         if at != parent:
             known = ', '.join(f'{over}:{below}' for over, below in self._links) or 'none'
             raise UsageError(
-                f'--truth {self.source.topic}: no transforms lead from {parent} to {child}; '
+                f'truth {self.source.topic}: no transforms lead from {parent} to {child}; '
                 f'recorded are {known}')
         stamped = max((sorted(self._links[link]) for link in chain), key=len, default=[])
         times = np.array([row[0] for row in stamped], np.float64)
@@ -335,7 +335,7 @@ class TruthReader:
             own, turned = self._headings.ascending()
             if len(own) < 2:
                 raise UsageError(
-                    f'--heading {self._heading_topic}: {len(own)} usable samples; name another '
+                    f'heading {self._heading_topic}: {len(own)} usable samples; name another '
                     'topic, or track')
             zeros = np.zeros(len(own))
             series = Truth(stamps_ns=own, poses=Poses(
@@ -379,19 +379,19 @@ class TruthReader:
         if north and other_scatter < _SCATTER_RAD and abs(other_off) <= _AGREES_RAD and (
                 other_scatter < 1.5 * scatter):
             now = 'enu' if self.source.compass else 'compass'
-            return [f'{found}: it is of the other convention; read it with --heading-is {now}']
+            return [f'{found}: it is of the other convention; read it with heading_is {now}']
         if scatter < _SCATTER_RAD and abs(abs(off) - math.pi) <= _QUARTER_RAD:
             return [f'{found}: taxied backwards, or the sensor is mounted so; '
-                    '--heading-offset 180 turns it round']
+                    'heading_offset 180 turns it round']
         if scatter < _SCATTER_RAD and abs(abs(off) - math.pi / 2) <= _QUARTER_RAD:
             return [f'{found}: its zero is another axis (north for east); '
-                    f'--heading-offset {math.degrees(off):.0f} turns it back']
+                    f'heading_offset {math.degrees(off):.0f} turns it back']
         if scatter < _SCATTER_RAD:
             return [f'{found}: magnetic instead of true north, or a sensor mounted askew? '
-                    f'--heading-offset {math.degrees(off):.1f} makes up for it']
+                    f'heading_offset {math.degrees(off):.1f} makes up for it']
         return [f'{name}: the heading has nothing to do with the direction of motion (scatter '
                 f'{math.degrees(scatter):.0f} deg): another convention, or another sensor; '
-                '--heading track uses the motion']
+                'heading track uses the motion']
 
 
 def mean_angle(angles: Floats) -> tuple[float, float]:
@@ -412,7 +412,7 @@ def origin_of(frame: str) -> tuple[float, float]:
         latitude = math.nan
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
         raise UsageError(
-            f'--frame {frame!r:.60}: expected runway, or LAT,LON [deg] of the origin of an '
+            f'frame {frame!r:.60}: expected runway, or LAT,LON [deg] of the origin of an '
             'east-north-up frame')
     return latitude, longitude
 

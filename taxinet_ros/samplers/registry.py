@@ -147,14 +147,14 @@ ACTIVE = proposer_kind(
     },
 )
 COVERAGE = proposer_kind(
-    'where no run has been: every pair of cells of the ranges, or of an ODD (--odd)',
+    'where no run has been: every pair of cells of the ranges, or of an ODD',
     lambda space, seed, runs, values: Covering(
         space, seed, *own_cells(space, int(values['cells']), int(values['strength']))
     ),
     floor=0.0,
     options={
         'cells': Option(
-            meaning='parts of each continuous dimension; with --odd those of the ODD',
+            meaning='parts of each continuous dimension; with an ODD its own',
             default=4, low=1, high=50, whole=True,
         ),
         'strength': Option(
@@ -359,7 +359,7 @@ def make_sampler(
     space = Space(dimensions)
     if not space and name != 'random':
         raise UsageError(
-            f'--sampler {name}: nothing that the program draws can be searched; --sampler random '
+            f'sampler {name}: nothing that the program draws can be searched; sampler random '
             'draws as it does'
         )
     return Lagged(kind.make(space, seed, runs, values))

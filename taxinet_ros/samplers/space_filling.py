@@ -246,7 +246,7 @@ def _branches(space: Space) -> list[tuple[int | None, ...]]:
         found.append(bins)
         if len(found) > MOST_BRANCHES:
             raise UsageError(
-                f'--sampler grid: more than {MOST_BRANCHES} combinations of options decide what '
+                f'sampler grid: more than {MOST_BRANCHES} combinations of options decide what '
                 'else is chosen; use sobol or random'
             )
     return found

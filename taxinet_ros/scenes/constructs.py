@@ -53,8 +53,8 @@ _NO_PROGRAMS = (
 )
 
 _BAG = 'the bag of a run holds all of it'
-_END = 'a run ends after "param duration_s" or by --stop-on'
-_FORMULA = 'a scene says how a run begins; what it has to fulfil is a formula of --spec'
+_END = 'a run ends after "param duration_s" or by a rule of stop_on'
+_FORMULA = 'a scene says how a run begins; what it has to fulfil is given as a formula'
 _STATEMENTS: Mapping[str, tuple[str, str]] = {
     'record': ('record', _BAG),
     'record_initial': ('record initial', _BAG),

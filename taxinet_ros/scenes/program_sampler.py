@@ -96,7 +96,7 @@ def _option(kind: str, name: str, value: Any, place: str) -> dict[str, str]:
         names = (*known, *fixed, *([_BUCKETS] if kind in BUCKETED else ()))
         raise UsageError(
             f'{where}: has no effect on {kind}; known: {", ".join(names) or "none"}; options of '
-            'the sampler here are given by --sampler-option'
+            'the sampler here are given as sampler_options'
         )
     return {known[name]: str(value)}
 

@@ -288,7 +288,7 @@ def check_same_files(what: str, before: Mapping[str, Any], now: Mapping[str, Any
     if changed and one and other and before.get('program') == now.get('program'):
         raise UsageError(
             f'{what} was begun with another text of {", ".join(changed)}; put that back, or choose '
-            'another --out'
+            'another folder'
         )
 
 

@@ -86,7 +86,7 @@ def sampler_request(
     if own is not external_params.VerifaiSampler:
         raise ProgramError(
             "externalSampler: a sampler of the program's own cannot be used; name one by "
-            f'"param {TYPE} = …" or by --sampler', places.get('externalSampler'),
+            f'"param {TYPE} = …" or as sampler', places.get('externalSampler'),
         )
     feedback = params.get(REJECTION_FEEDBACK)
     if REJECTION_FEEDBACK in params and (

@@ -98,7 +98,7 @@ def image_perception(word_or_file: str) -> Perception:
     """
     perception = make_perception(word_or_file)
     if not perception.needs_image:
-        raise UsageError(f'--perception {word_or_file}: uses no camera image; name a network')
+        raise UsageError(f'perception {word_or_file}: uses no camera image; name a network')
     return perception
 
 

@@ -180,8 +180,8 @@ class _Trainer:
         validation_loss, cte_mae_m, he_mae_rad = self._measure()
         if not math.isfinite(validation_loss):
             raise UsageError(
-                f'train: the loss is {validation_loss} after epoch {number}; lower --learning-rate '
-                f'from {self._recipe.learning_rate:g}'
+                f'train: the loss is {validation_loss} after epoch {number}; lower the learning '
+                f'rate from {self._recipe.learning_rate:g}'
             )
         return Epoch(
             number=number,

@@ -114,19 +114,19 @@ class TrainOptions:
         if (given := sum(map(bool, (self.program, self.places, self.data)))) != 1:
             which = ('several of', 'and') if given else ('neither', 'nor')
             raise UsageError(
-                f'train: {which[0]} a program, --place {which[1]} --data given; give exactly one'
+                f'train: {which[0]} a program, places {which[1]} data given; give exactly one'
             )
         self._check_words()
         if self.data:
             self._check_data()
         elif self.validation_data is not None:
-            raise UsageError('train: --validation-data goes with --data, not with a program')
+            raise UsageError('train: validation_data goes with data, not with a program')
         elif self.sampler not in SAMPLERS:
             known = ', '.join(SAMPLERS)
             raise UsageError(f'train: sampler {self.sampler!r} is unknown; known: {known}')
         elif self.places and (self.sampler != 'random' or self.validation_program):
-            option = '--validation-program' if self.validation_program else '--sampler'
-            raise UsageError(f'train: {option} goes with a program, not with --place')
+            option = 'validation_program' if self.validation_program else 'sampler'
+            raise UsageError(f'train: {option} goes with a program, not with places')
         else:
             self.check_batch(self.images)
 
@@ -138,8 +138,8 @@ class TrainOptions:
         """
         if self.batch > images:
             raise UsageError(
-                f'train: a batch of {self.batch}, as --batch or its default says, is more than the '
-                f'{images} images to train on; use --batch {images} or less'
+                f'train: a batch of {self.batch}, as asked or by default, is more than the '
+                f'{images} images to train on; use a batch of {images} or less'
             )
 
     @property
@@ -159,13 +159,13 @@ class TrainOptions:
 
     def _check_data(self) -> None:
         for option, given in (
-            ('--varied', self.varied), ('--sampler', self.sampler != 'random'),
-            ('--validation-program', self.validation_program),
-            ('--add or --add-runs', self.add or self.add_data),
+            ('varied', self.varied), ('sampler', self.sampler != 'random'),
+            ('validation_program', self.validation_program),
+            ('add or add_runs', self.add or self.add_data),
         ):
             if given:
                 raise UsageError(
-                    f'train: {option} is for rendered scenes; leave it out with --data'
+                    f'train: {option} is for rendered scenes; leave it out with data'
                 )
         folders = [*self.data, *([self.validation_data] if self.validation_data else [])]
         seen: set[Path] = set()
@@ -256,26 +256,26 @@ class TrainOptions:
         out = self.out
         if out.suffix != SUFFIX:
             raise UsageError(
-                f'train: --out {out}: networks are {SUFFIX} files; use {out.stem}{SUFFIX}'
+                f'train: out {out}: networks are {SUFFIX} files; use {out.stem}{SUFFIX}'
             )
         if not out.parent.is_dir():
-            raise UsageError(f'train: --out {out}: {out.parent} is not a folder; make it first')
+            raise UsageError(f'train: out {out}: {out.parent} is not a folder; make it first')
         if not os.access(out.parent, os.W_OK | os.X_OK):
-            raise UsageError(f'train: --out {out}: {out.parent} cannot be written to')
+            raise UsageError(f'train: out {out}: {out.parent} cannot be written to')
         ours = self.resume and self.interrupted  # stopped while these files were written
         if out.is_dir() or (out.exists() and not (self.overwrite or ours)):
             raise UsageError(
-                f'train: --out {out}: already exists; choose another file or use --overwrite'
+                f'train: out {out}: already exists; choose another file, or overwrite it'
             )
         if not self.interrupted and _holds_others(self.unfinished):
             raise UsageError(
-                f'train: --out {out}: would also make the folder {self.unfinished}, which is there '
+                f'train: out {out}: would also make the folder {self.unfinished}, which is there '
                 'with something else; choose another name, or move that away'
             )
         if self.interrupted and not (self.resume or self.overwrite):
             raise UsageError(
-                f'train: {self.unfinished}: an interrupted training; add --resume to go on with '
-                'it, or --overwrite to begin anew'
+                f'train: {self.unfinished}: an interrupted training; resume to go on with '
+                'it, or overwrite to begin anew'
             )
         others = {'its card': card_path(out), 'learning curves': self.curves_path,
                   'the table of them': self.history_path}
@@ -283,7 +283,7 @@ class TrainOptions:
             # Without weights, they are of no earlier training.
             if path.is_dir() or (path.exists() and not (out.exists() or ours)):
                 raise UsageError(
-                    f'train: --out {out}: would also write {path} ({what}), which exists; choose '
+                    f'train: out {out}: would also write {path} ({what}), which exists; choose '
                     'another name, or move that away'
                 )
 

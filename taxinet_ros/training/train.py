@@ -219,11 +219,11 @@ def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
     if left < 1:
         held = len(dataset) // 5 or 1
         left = len(dataset) - held
-        batch = f' and --batch {left} or less' if options.batch > left else ''
+        batch = f', with a batch of {left} or less' if options.batch > left else ''
         raise UsageError(
             f'train: {len(dataset)} images are too few to hold out {options.validation} of them, '
-            f'as --validation or its default says; use --validation {held}{batch}, or '
-            '--validation-data FOLDER'
+            f'as asked or by default; use a validation of {held}{batch}, or a folder as '
+            'validation_data'
         )
     options.check_batch(left)
     order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))
@@ -236,7 +236,7 @@ def _check_device(device: str) -> None:
 
         if not torch.cuda.is_available():
             raise UsageError(
-                f'train: --device {device}: torch finds no GPU here; leave it out to use the CPU'
+                f'train: device {device}: torch finds no GPU here; leave it out to use the CPU'
             )
 
 
@@ -271,12 +271,12 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
             architecture=options.architecture or start.card.architecture)
         if options.architecture != start.card.architecture:
             raise UsageError(
-                f'train: --start {options.start}: is of architecture {start.card.architecture}, '
+                f'train: start {options.start}: is of architecture {start.card.architecture}, '
                 f'not {options.architecture}'
             )
     if start is not None and start.card.view != options.view:
         raise UsageError(
-            f'train: --start {options.start}: sees through the view {start.card.view or "none"}, '
+            f'train: start {options.start}: sees through the view {start.card.view or "none"}, '
             f'not {options.view or "none"}'
         )
     with contextlib.ExitStack() as opened:
@@ -302,8 +302,7 @@ def _pictures_so_far(options: TrainOptions, request: Mapping[str, Any]) -> Itera
             yield pictures
     except OSError as error:
         raise RecordError(
-            f'train: {error.filename or folder}: {disk_words(error)}; fix that, then go on with '
-            '--resume'
+            f'train: {error.filename or folder}: {disk_words(error)}; fix that, then resume it'
         ) from error
 
 
@@ -355,7 +354,7 @@ def _warn_if_worse(
     if worse:
         warn_once(
             f'train: on the validation images {options.start} errs less ({"; ".join(worse)}); take '
-            'more images, or a lower --learning-rate'
+            'more images, or a lower learning rate'
         )
 
 

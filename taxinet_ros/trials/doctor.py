@@ -48,7 +48,7 @@ from taxinet_ros.trials.record.table import (
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
 _DATASET, _PROGRESS = 'dataset.json', 'progress.db'
 _STAGE = 'stage'
-_RESUME = 'the command that made it, with --resume if it has that'
+_RESUME = 'the command that made it, resumed if it can be'
 _DERIVED = ('.html', '.png', '.svg', '.pdf', '.gif', '.mp4', '.xml', '.csv', '.scenic')
 _MOST_NAMED = 6
 
@@ -292,7 +292,7 @@ def _check_runs(folder: Path, content: CampaignContent, found: Examination) -> N
         if content.finished:
             found.report(folder / RECORD_NAME, said, _RESUME)
         else:
-            found.notes.append(f'{folder / RECORD_NAME}: {said}; --resume runs it again')
+            found.notes.append(f'{folder / RECORD_NAME}: {said}; resuming runs it again')
     known = {row.bag for row in content.rows}
     for bag in sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')}):
         if bag.name in known or '.broken-' in bag.name:
@@ -347,7 +347,7 @@ def _check_pictures(place: Path, found: Examination) -> None:
     """Check a dataset's pictures against its labels."""
     if not (place / _LABELS).is_file():
         if (place / _PROGRESS).is_file() and not (place / _DATASET).is_file():
-            found.notes.append(f'{place}: an unfinished dataset; continue with --resume')
+            found.notes.append(f'{place}: an unfinished dataset; resume it')
         return
     if not (place / _DATASET).is_file():
         found.report(place / _LABELS, f'cannot be verified: {_DATASET} is not there', _RESUME)

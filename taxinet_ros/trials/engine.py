@@ -333,20 +333,20 @@ def with_workers(
     """
     if cluster is None:
         if not 1 <= workers <= lag:
-            raise UsageError(f'--workers {workers}: needs to be within 1..{lag}')
+            raise UsageError(f'workers {workers}: needs to be within 1..{lag}')
         return dataclasses.replace(campaign, workers=workers)
     if workers != 1:
         raise UsageError(
-            f'--workers {workers}: not with --cluster, whose own workers are used; leave it out'
+            f'workers {workers}: not with a cluster, whose own workers are used; leave it out'
         )
     for role, word in (('perception', campaign.perception), ('controller', campaign.controller)):
         if word in (EXTERNAL, ''):
             raise UsageError(
-                f'--cluster: not with a {role} that you start yourself, which the workers do not '
-                'see; use --workers, or give its command'
+                f'cluster: not with a {role} that you start yourself, which the workers do not '
+                'see; use workers, or give its command'
             )
     if again := find_world(campaign.world).again_words:
-        raise UsageError(f'--cluster: {again}, so workers would not give the same runs')
+        raise UsageError(f'cluster: {again}, so workers would not give the same runs')
     return dataclasses.replace(campaign, cluster=check_cluster(cluster))
 
 

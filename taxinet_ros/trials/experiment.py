@@ -295,8 +295,8 @@ def with_network(experiment: Experiment, perception: str) -> Experiment:
     check_perception(perception, graph=True)
     if len({arm.perception for arm in experiment.arms}) > 1:
         raise UsageError(
-            f'--perception {perception}: the arms of {experiment.name} differ in their network; '
-            'leave the option out'
+            f'perception {perception}: the arms of {experiment.name} differ in their network; '
+            'leave it out'
         )
     arms = tuple(dataclasses.replace(arm, perception=perception) for arm in experiment.arms)
     return dataclasses.replace(experiment, arms=arms)
@@ -327,7 +327,7 @@ def arm_searches(
     if not resume:
         check_new(out)
     elif not _may_be_begun(experiment, out):
-        raise UsageError(f'--resume: {out}: holds no arm of {experiment.name}; leave --resume out')
+        raise UsageError(f'resume: {out}: holds no arm of {experiment.name}; leave resume out')
     return {
         arm.name: Search(
             dataclasses.replace(

@@ -103,10 +103,10 @@ class LearnedResult:
             )
         except FileNotFoundError as error:
             raise UsageError(
-                f'{path}: no such file; name the --out of a search with ce or mab'
+                f'{path}: no such file; name the folder of a search with ce or mab'
             ) from error
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise UsageError(f'{path}: cannot be read; rewrite it with --resume') from error
+            raise UsageError(f'{path}: cannot be read; resume the search to rewrite it') from error
 
 
 class Share(NamedTuple):

@@ -56,12 +56,12 @@ class Objective:
         """
         if not SAMPLERS[sampler].learns:
             raise UsageError(
-                f'--objective {self.text}: has no effect on --sampler {sampler}, which does not '
+                f'objective {self.text}: has no effect on sampler {sampler}, which does not '
                 'learn from results; leave it out'
             )
         if len(self.levels) > 1 and sampler not in BY_SIZE:
             raise UsageError(
-                f'--objective {self.text}: --sampler {sampler} learns only whether a run failed, '
+                f'objective {self.text}: sampler {sampler} learns only whether a run failed, '
                 f'not how important that is; write them with commas, or use one of '
                 f'{", ".join(BY_SIZE)}'
             )
@@ -78,11 +78,11 @@ def parse_objective(text: str, names: Sequence[str]) -> Objective:
     for name in found.rules:
         if name not in names:
             raise UsageError(
-                f'--objective {text}: {name!r} is no requirement of this search; give it with '
-                f'--spec; known: {", ".join(names)}'
+                f'objective {text}: {name!r} is no requirement of this search; add its '
+                f'formula; known: {", ".join(names)}'
             )
         if found.rules.count(name) > 1:
-            raise UsageError(f'--objective {text}: {name} is named twice')
+            raise UsageError(f'objective {text}: {name} is named twice')
     if len(found.rules) == 1:
-        raise UsageError(f'--objective {text}: one requirement alone is given as the first --spec')
+        raise UsageError(f'objective {text}: one requirement alone is given as the first formula')
     return found

@@ -200,20 +200,20 @@ def make_options(
     if asked.perception:
         check_perception(asked.perception, graph=True)
     if asked.images not in IMAGES:
-        raise UsageError(f'--images {asked.images}: unknown; known: {", ".join(IMAGES)}')
-    needs_graph = {'--processes': asked.processes, '--free': free}
+        raise UsageError(f'images {asked.images}: unknown; known: {", ".join(IMAGES)}')
+    needs_graph = {'processes': asked.processes, 'free': free}
     for option in (name for name, given in needs_graph.items() if given and asked.engine == LOOP):
-        raise UsageError(f'{option}: not with --engine {LOOP}, which has no nodes')
+        raise UsageError(f'{option}: not with engine {LOOP}, which has no nodes')
     if asked.engine == LOOP and world.again_words:
-        raise UsageError(f'--engine {LOOP}: {world.again_words}, so it could not be audited')
+        raise UsageError(f'engine {LOOP}: {world.again_words}, so it could not be audited')
     audit_percent = check_engine(asked.engine, audit, asked)
     if resume and out is None:
-        raise UsageError('--resume: name the campaign to continue with --out')
+        raise UsageError('resume: name the campaign to continue as out')
     if out is None:
         words = (Path(asked.program).stem, short_word(asked.perception), f'seed{asked.seed}')
         out = new_folder(DEFAULT_ROOT / '-'.join(word for word in words if word))
     if not resume:
-        check_new(out, '' if resume is None else ', or go on with --resume')
+        check_new(out, '' if resume is None else ', or resume it')
     return dataclasses.replace(
         asked, out=out, processes=asked.processes or free, world=world.name,
         images=recorded_images(world, asked.images), audit_percent=audit_percent,
@@ -225,12 +225,12 @@ def _check_free(asked: CampaignOptions) -> None:
     if not asked.timing.free:
         return
     if asked.processes:
-        raise UsageError('--processes: no effect with --free, which always uses processes')
+        raise UsageError('processes: no effect on a free run, which always uses processes')
     check_not_free(asked.timing, asked.controller)
     if asked.judging.stop_on is not StopOn.NEVER:
         raise UsageError(
-            f'--stop-on {asked.judging.stop_on}: not with --free, which does not wait for the '
-            'monitor'
+            f'stop_on {asked.judging.stop_on}: not in a free run, which does not wait '
+            'for the monitor'
         )
 
 
@@ -251,17 +251,17 @@ def check_engine(engine: str, audit: str | None, system: System) -> float:
             can have.
     """
     if engine not in ENGINES:
-        raise UsageError(f'--engine {engine}: unknown; known: {", ".join(ENGINES)}')
+        raise UsageError(f'engine {engine}: unknown; known: {", ".join(ENGINES)}')
     if engine == GRAPH:
         if audit is not None:
             raise UsageError(
-                f'--audit {audit}: no effect with --engine {GRAPH}, which needs no audit'
+                f'audit {audit}: no effect with engine {GRAPH}, which needs no audit'
             )
         return 0.0
     for role in ('perception', 'controller'):
         if is_node_elsewhere(word := getattr(system, role)):
             raise UsageError(
-                f'--engine {LOOP}: {role} {word} is a node; use --engine {GRAPH}'
+                f'engine {LOOP}: {role} {word} is a node; use engine {GRAPH}'
             )
     check_perception(system.perception)
     check_controller(system.controller, system.gains)
@@ -274,7 +274,7 @@ def _audit_percent(text: str) -> float:
     except ValueError:
         percent = math.nan
     if not 0 <= percent <= 100:
-        raise UsageError(f'--audit {text}: expected a percentage of the runs, such as 1 or 0.5')
+        raise UsageError(f'audit {text}: expected a percentage of the runs, such as 1 or 0.5')
     return percent
 
 
@@ -294,28 +294,25 @@ def check_timing(
         factor: simulated seconds per second then, or ``max``; real time if None.
 
     Raises:
-        UsageError: one line that names the option.
+        UsageError: one line that names the parameter.
     """
     latency = tuple(latency)
     if factor is not None and not free:
-        raise UsageError('--real-time-factor: has no effect without --free')
+        raise UsageError('real_time_factor: has an effect on a free run only')
     if latency and free:
-        raise UsageError(f'--latency {latency[0]}: not with --free, which has real delays')
-    try:
-        return free_timing(factor or '1') if free else parse_latency(latency)
-    except UsageError as error:
-        raise UsageError(f'--{error}') from None
+        raise UsageError(f'latency {latency[0]}: not in a free run, which has real delays')
+    return free_timing(factor or '1') if free else parse_latency(latency)
 
 
 def check_not_free(timing: Timing, controller: str) -> None:
     """Refuse a monitored controller in a free run.
 
     Raises:
-        UsageError: one line that names the option.
+        UsageError: one line that names the parameter.
     """
     if timing.free and parts_of(controller) is not None:
         raise UsageError(
-            f'--free: not with --controller {controller}: its monitor needs the frame of each '
+            f'free: not with controller {controller}: its monitor needs the frame of each '
             'estimate, and a free run may lose frames'
         )
 
@@ -343,7 +340,7 @@ def check_new(out: Path, or_else: str = '') -> None:
         return
     if out.exists() or out.is_symlink():
         raise UsageError(
-            f'--out {out}: already exists; recordings are never overwritten, choose a new folder'
+            f'out {out}: already exists; recordings are never overwritten, choose a new folder'
             f'{or_else}'
         )
 
@@ -360,7 +357,7 @@ def make_out(out: Path) -> None:
     except OSError as error:
         if error.errno in FULL_DISK:
             raise
-        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+        raise UsageError(f'out {out}: cannot be written: {error.strerror}') from error
 
 
 def read_settings(settings: Iterable[str]) -> dict[str, str]:
@@ -369,11 +366,11 @@ def read_settings(settings: Iterable[str]) -> dict[str, str]:
     Raises:
         UsageError: an argument has another form, or a key is given twice, even by its short form.
     """
-    values = split_options(settings, '--set')
+    values = split_options(settings, 'setting')
     try:
         return by_key(values)
     except UsageError as error:
-        raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None
+        raise UsageError(f'settings: {str(error).removeprefix("scenario: ")}') from None
 
 
 def with_offsets(values: Mapping[str, str]) -> dict[str, str]:
@@ -387,7 +384,7 @@ def with_offsets(values: Mapping[str, str]) -> dict[str, str]:
     offsets = dict(zip(CAMERA_OFFSETS, camera.offsets, strict=True))
     moved = {field.key: f'{value!r}' for field, value in offsets.items() if value}
     if twice := sorted(moved.keys() & values.keys()):
-        raise UsageError(f'--set {twice[0]}: the camera has an offset of its own; leave one out')
+        raise UsageError(f'setting {twice[0]}: the camera has an offset of its own; leave one out')
     return {**values, CAMERA.key: camera.base.text, **moved}
 
 
@@ -413,8 +410,5 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
                 _check_taxiing(overrides[key])
             continue
         name = key.removeprefix(_GAIN_PREFIX)
-        try:
-            gains[name] = typed_gain(name, value)
-        except UsageError as error:
-            raise UsageError(f'--set {error}') from None
+        gains[name] = typed_gain(name, value)
     return overrides, gains

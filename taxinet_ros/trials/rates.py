@@ -198,7 +198,7 @@ class ProgramRate:
             return f'{NO_RATE}: no run was judged'
         return (
             f'{NO_RATE}: {self.sampler or "a sampler"} chose all of its {self.runs:,} runs, and '
-            'the program itself drew none of them; use --sampler-option floor=0.3, or --sampler '
+            'the program itself drew none of them; use the sampler option floor=0.3, or sampler '
             'random'
         )
 

@@ -59,20 +59,20 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
             # A package's named formula must be readable where the package is not installed.
             elsewhere = spec.name == word.strip() not in SHIPPED
             texts.append(
-                _written_out('--spec', spec.name, spec.text) if predicates or elsewhere else word
+                _written_out('specs', spec.name, spec.text) if predicates or elsewhere else word
             )
     names = [parse_spec(text).name for text in texts]
     for name in names:
         if names.count(name) > 1:
-            raise UsageError(f'--spec: {name} is given twice; name one of them NAME=FORMULA')
+            raise UsageError(f'specs: {name} is given twice; name one of them NAME=FORMULA')
     if predicates and not texts:
-        raise UsageError('--spec: only predicates are given; add a formula that uses them')
+        raise UsageError('specs: only predicates are given; add a formula that uses them')
     return tuple(texts)
 
 
 def _read(path: Path, predicates: dict[str, str]) -> list[str]:
     """Texts of a file's formulas; its predicates are added to ``predicates``."""
-    top = Section(path, read_yaml(path, option='--spec', fix=_BRACKETS), _KEYS)
+    top = Section(path, read_yaml(path, option='specs', fix=_BRACKETS), _KEYS)
     given = top.section('predicates', optional=True)
     for name in given:
         if name in predicates:
@@ -117,7 +117,7 @@ def make_judging(
     """Check the judging arguments; see :func:`make_options`.
 
     Raises:
-        UsageError: one line that names the option.
+        UsageError: one line that names the parameter.
     """
     judging = Judging(
         specs=read_specs(specs) or DEFAULT_SPECS, stop_on=parse_stop_on(stop_on),
@@ -138,24 +138,9 @@ def check_assumptions(
         specs: requirements that read the signals; empty: not known.
 
     Raises:
-        UsageError: one line that names the option.
+        UsageError: one line that names the parameter.
     """
-    try:
-        found = parse_assumptions(bounds, rates)
-    except UsageError as error:
-        raise UsageError(f'--{error}') from None
+    found = parse_assumptions(bounds, rates)
     if specs:
-        check_assumptions_read(found, specs)
-    return found
-
-
-def check_assumptions_read(found: Assumptions, specs: Sequence[Spec]) -> None:
-    """Check that requirements read the signals of assumptions.
-
-    Raises:
-        UsageError: one line that names the option without effect.
-    """
-    try:
         check_read(found, (spec.formula for spec in specs))
-    except UsageError as error:
-        raise UsageError(f'--{error}') from None
+    return found

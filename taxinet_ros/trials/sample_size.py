@@ -55,7 +55,7 @@ def check_claim(limit: float, confidence: float) -> None:
         what = 'no number of runs shows that' if limit <= 0 else 'it claims nothing'
         raise UsageError(f'plan: at most {limit:g} of the runs fail: {what}')
     if not 0.5 <= confidence < 1:
-        raise UsageError(f'--confidence {confidence:g}: needs to be within 0.5..1')
+        raise UsageError(f'confidence {confidence:g}: needs to be within 0.5..1')
 
 
 def fewest_runs(limit: float, confidence: float, failures: int = 0) -> int:
@@ -69,7 +69,7 @@ def fewest_runs(limit: float, confidence: float, failures: int = 0) -> int:
     """
     check_claim(limit, confidence)
     if failures < 0:
-        raise UsageError(f'--failures {failures}: needs to be 0 or more')
+        raise UsageError(f'failures {failures}: needs to be 0 or more')
     return int(_fewest(limit, confidence, np.array([failures]))[0])
 
 
@@ -93,7 +93,7 @@ def plan_with_power(limit: float, confidence: float, truth: float, power: float)
     """
     check_claim(limit, confidence)
     if not 0 < power < 1:
-        raise UsageError(f'--power {power:g}: needs to be within 0..1, without its ends')
+        raise UsageError(f'power {power:g}: needs to be within 0..1, without its ends')
     if not 0 <= truth < limit:
         raise UsageError(
             f'plan: a system that fails in {truth:g} of the runs does not meet the claim of '

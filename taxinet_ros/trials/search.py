@@ -193,8 +193,8 @@ class Search(Proposer):
             self._again(row.index)
         if row.point != self.space.named(self._points[row.index]):
             raise UsageError(
-                f'--resume: the sampler chose another point for run {row.index} than before; was a '
-                'library updated meanwhile? Name another --out'
+                f'resume: the sampler chose another point for run {row.index} than before; was a '
+                'library updated meanwhile? Name another folder'
             )
 
     def _again(self, index: int) -> Point:
@@ -264,8 +264,8 @@ class Search(Proposer):
             self.sampler, self.sampler_options
         ):
             raise UsageError(
-                f'--until {self.stop}: no rate is known with {self.sampler}, which chooses '
-                'all of its runs; add --sampler-option floor=0.3, or use failures=K'
+                f'until {self.stop}: no rate is known with {self.sampler}, which chooses '
+                'all of its runs; add the sampler option floor=0.3, or use failures=K'
             )
         self.check = self.campaign.check(
             first_scene(source), lambda: source.search_space().drawn,
@@ -281,7 +281,7 @@ class Search(Proposer):
         self._begun = content.begun
         if self._begun > runs:
             raise UsageError(
-                f'--runs {runs}: {self._begun} were started in {self.campaign.out}; use at least '
+                f'runs {runs}: {self._begun} were started in {self.campaign.out}; use at least '
                 'that number'
             )
         done = content.only(content.by_index.keys() - self._repeated.keys())
@@ -310,7 +310,7 @@ class Search(Proposer):
         strength = int(check_sampler(self.sampler, names)['strength'])
         if strength > len(odd.parameters):
             raise UsageError(
-                f'--sampler-option strength={strength}: the ODD {odd.name} has only '
+                f'sampler option strength={strength}: the ODD {odd.name} has only '
                 f'{len(odd.parameters)} parameters'
             )
 
@@ -379,17 +379,17 @@ def make_search(
         UsageError: one line on the first error.
     """
     if not 1 <= lag <= MOST_LAG:
-        raise UsageError(f'--lag {lag}: needs to be within 1..{MOST_LAG}')
+        raise UsageError(f'lag {lag}: needs to be within 1..{MOST_LAG}')
     campaign = with_workers(campaign, workers, cluster, lag)
     if budget_min is not None and not budget_min > 0:
-        raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
+        raise UsageError(f'budget {budget_min:g}: needs to be above 0 minutes')
     stop = parse_stop_rule(until) if until else None
     if (
         stop is not None and stop.kind == MAX_OFF_RUNWAY
         and campaign.judging.stop_on is not StopOn.NEVER
     ):
         raise UsageError(
-            f'--until {until}: not with --stop-on {campaign.judging.stop_on}: of a run that was '
+            f'until {until}: not with stop_on {campaign.judging.stop_on}: of a run that was '
             'stopped it is unknown whether it would have left the runway'
         )
     options = split_options(sampler_options)
@@ -397,11 +397,11 @@ def make_search(
         check_sampler(sampler, options)
     if odd is not None and sampler != COVERAGE:
         raise UsageError(
-            f'--odd {odd}: has an effect on --sampler {COVERAGE} only; to measure the coverage of '
+            f'odd {odd}: has an effect on sampler {COVERAGE} only; to measure the coverage of '
             'any search: taxinet odd coverage'
         )
     if odd is not None and 'cells' in options:
-        raise UsageError('--sampler-option cells: the cells are those of the ODD; leave it out')
+        raise UsageError('sampler option cells: the cells are those of the ODD; leave it out')
     return Search(
         campaign, sampler=sampler or '', sampler_options=options, stop=stop,
         budget_s=None if budget_min is None else 60 * budget_min, lag=lag,
@@ -427,9 +427,9 @@ def make_estimate(
         UsageError: one line on the first error.
     """
     if not 1e-12 <= floor <= 0.5:
-        raise UsageError(f'--down-to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
+        raise UsageError(f'down_to {floor:g}: needs to be within 1e-12..0.5, as in 1e-6')
     if not 4 <= islands <= 100:
-        raise UsageError(f'--islands {islands}: needs to be within 4..100')
+        raise UsageError(f'islands {islands}: needs to be within 4..100')
     runs = campaign.runs
     if campaign.resume and (before := read_facts(campaign.out)) is not None:
         first = before.get('first_runs')
@@ -440,8 +440,8 @@ def make_estimate(
         while particles_for(needed, islands, floor) < LEAST_PARTICLES:
             needed += 100
         raise UsageError(
-            f'--runs {runs}: too few to look for {floor:g} on {islands} islands; use '
-            f'--runs {needed}, or a greater --down-to'
+            f'runs {runs}: too few to look for {floor:g} on {islands} islands; use '
+            f'{needed} runs, or a greater down_to'
         )
     return make_search(
         campaign, sampler=NAME, workers=workers, sampler_options=[

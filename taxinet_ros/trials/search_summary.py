@@ -93,14 +93,14 @@ def _branch_words(branch: Branch, options: Sequence[object]) -> str:
 
 
 def search_summary(
-    search: Engine[Search], likeliest: LikeliestFailure | None = None, resuming: str = '--resume',
+    search: Engine[Search], likeliest: LikeliestFailure | None = None, resuming: str = 'resuming',
 ) -> list[str]:
     """Summary lines: counts, rates with intervals, the worst run, path of the table.
 
     Args:
         search: a search that has ended.
         likeliest: its likeliest failure, if it searched by likelihood and there is one.
-        resuming: option that continues it.
+        resuming: what continues it, in the words of the command or node.
     """
     found, campaign = search.summary, search.options
     lines = [found.count_words() or 'no run ended']

@@ -144,7 +144,7 @@ def parse_test(text: str) -> SequentialTest:
         name, _, value = (word.strip() for word in part.partition('='))
         if name not in ('design', 'confidence') or name in values:
             raise UsageError(
-                f'--until {text}: {part!r}: expected design=SHARE or confidence=SHARE, each once'
+                f'until {text}: {part!r}: expected design=SHARE or confidence=SHARE, each once'
             )
         values[name] = _number(text, value)
     return sequential_test(
@@ -181,7 +181,7 @@ def _number(text: str, number: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UsageError(f'--until {text}: {number!r} is no number')
+        raise UsageError(f'until {text}: {number!r} is no number')
     return value
 
 
@@ -436,7 +436,7 @@ def parse_stop_rule(text: str) -> StopRule:
     whole = kind == FAILURES and value >= 1 and value.is_integer()
     if not whole and not (kind == HALF_WIDTH and 0 < value < 0.5):
         raise UsageError(
-            f'--until {text}: expected {FAILURES}=K (1, 2, …), {HALF_WIDTH}=W (0…0.5), '
+            f'until {text}: expected {FAILURES}=K (1, 2, …), {HALF_WIDTH}=W (0…0.5), '
             f'{MIN_SATISFACTION}=SHARE or {MAX_OFF_RUNWAY}=SHARE'
         )
     return StopRule(kind=kind, value=value)

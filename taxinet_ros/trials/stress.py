@@ -89,17 +89,17 @@ def check_likelihood(sampler: str, space: SearchSpace) -> None:
     for choice in space.searched:
         if choice.law is None or choice.law.kind != 'Normal':
             raise UsageError(
-                f'--sampler {sampler}: {choice.dimension.name} is no Normal(mean, stddev), so none '
-                'of its values is likelier than others; draw it as one, or fix it with --set'
+                f'sampler {sampler}: {choice.dimension.name} is no Normal(mean, stddev), so none '
+                'of its values is likelier than others; draw it as one, or set it'
             )
     for name in space.unsearched:
         if not name.endswith(_HARMLESS):
             raise UsageError(
-                f'--sampler {sampler}: {name} is drawn, but not searched, so a path would not fail '
+                f'sampler {sampler}: {name} is drawn, but not searched, so a path would not fail '
                 'again; draw it as Normal(mean, stddev), or leave it out'
             )
     if not space.searched:
         raise UsageError(
-            f'--sampler {sampler}: the program draws no disturbance; write one, such as '
+            f'sampler {sampler}: the program draws no disturbance; write one, such as '
             "param 'steering_bias_deg@5' = Normal(0, 1)"
         )

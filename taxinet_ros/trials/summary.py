@@ -167,7 +167,7 @@ class Summary:
         named = ', '.join(map(str, blind[:_MOST_NAMED])) + more
         return [
             f'warning: {len(blind)} passed with more than {MOST_UNUSABLE_SHARE:.0%} of their '
-            f'frames without a usable estimate (run {named}); --spec usable fails them'
+            f'frames without a usable estimate (run {named}); the formula usable fails them'
         ]
 
     def refused_words(self) -> list[str]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,7 +17,6 @@ import pandas as pd
 import pytest
 
 import taxinet_ros as tx
-from taxinet_ros.arguments import python_words
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.world import ChosenWorld, SimulatedWorld
 
@@ -102,11 +103,11 @@ def test_given_every_name_of_the_package_then_it_is_among_those_tried():
 
 @pytest.mark.parametrize(('call', 'words'), [
     (lambda: tx.run(None), 'scenario: got None; expected a tx.Scenario'),
-    (lambda: tx.run(SHORT, bounds='cte'), "bound 'cte': expected SIGNAL="),
+    (lambda: tx.run(SHORT, bounds='cte'), "bounds 'cte': expected SIGNAL="),
     (lambda: tx.run(SHORT, perception=lambda frame: (True, False)), 'perception: answered (True'),
     (lambda: tx.robustness('x <= 1', RUN.trace.assign(x=0.0)),
      'trace: columns x and distance_m both'),
-    (lambda: tx.run(SHORT, bounds='he=-1:1'), 'bound he: has no effect: no requirement reads he'),
+    (lambda: tx.run(SHORT, bounds='he=-1:1'), 'bounds he: has no effect: no requirement reads he'),
     (lambda: tx.run(SHORT, latency=0.3), 'latency: got 0.3; expected a text or a list of texts'),
     (lambda: tx.run(SHORT, perception=tx.SteeringLaw), 'perception: the class SteeringLaw is'),
     (lambda: tx.run(SHORT, perception=lambda: None), 'perception: a function cannot be called'),
@@ -161,10 +162,10 @@ def test_given_an_object_of_ones_own_then_its_methods_answer():
     (lambda: tx.run(SHORT, stop_on='tired'), 'stop_on tired: unknown'),
     (lambda: tx.run(SHORT, specs=['usable', 'usable']), 'specs: usable is given twice'),
     (lambda: tx.run(SHORT, specs='no.yaml'), 'specs no.yaml: cannot be read'),
-    (lambda: tx.falsify('s_falsif', resume=True), 'resume: name the campaign to continue with out'),
+    (lambda: tx.falsify('s_falsif', resume=True), 'resume: name the campaign to continue as out'),
     (lambda: tx.falsify('s_falsif', until='tired'), 'until tired: expected'),
     (lambda: tx.falsify('s_falsif', workers=99), 'workers 99: needs to be within'),
-    (lambda: tx.falsify('s_falsif', settings={'steering.x': 1}), 'settings steering.x: unknown'),
+    (lambda: tx.falsify('s_falsif', settings={'steering.x': 1}), 'steering.x: unknown'),
     (lambda: tx.falsify('s_falsif', out='no', resume=True), 'resume: no/campaign.db: no such'),
 ])
 def test_given_what_cannot_be_then_the_line_speaks_of_parameters_not_of_options(
@@ -177,10 +178,60 @@ def test_given_what_cannot_be_then_the_line_speaks_of_parameters_not_of_options(
     assert '--' not in str(caught.value)
 
 
-def test_given_a_line_with_a_command_then_that_stays_as_it_is_typed():
-    assert python_words('--out x: see taxinet doctor x, or name another --out') == (
-        'out x: see taxinet doctor x, or name another out'
-    )
+SOURCES = [
+    path for path in sorted(Path(tx.__file__).parent.rglob('*.py'))
+    if 'cli' not in path.parts and path.name != 'commands.py'
+]
+COMMAND = re.compile(r'(taxinet|ros2|dask|{command}) [^;,]*')
+OPTION = re.compile(r'(?<![\w-])--(?!ros-args|help)[a-z]')
+
+
+def texts_with_options(source: str) -> list[str]:
+    """Texts that speak of an option: sentences, and all that an error is made of."""
+    tree = ast.parse(source)
+    of_errors, aside = set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith('Error'):
+            of_errors |= {*ast.walk(node)}
+        if isinstance(node, ast.JoinedStr):
+            aside |= {*node.values}
+        if isinstance(node, ast.Expr):  # a docstring
+            aside.add(node.value)
+    found = []
+    for node in ast.walk(tree):
+        if node in aside or not isinstance(node, ast.Constant | ast.JoinedStr):
+            continue
+        text = ast.literal_eval(node) if isinstance(node, ast.Constant) else ''.join(
+            one.value if isinstance(one, ast.Constant) else
+            f'{{{one.value.id}}}' if isinstance(one.value, ast.Name) else '{}'
+            for one in node.values
+        )
+        if not isinstance(text, str):
+            continue
+        words = COMMAND.sub('', text)
+        blames = node in of_errors and ('--{' in words or OPTION.search(words))
+        if blames or (' ' in text.strip() and OPTION.search(words)):
+            found.append(text)
+    return found
+
+
+def test_given_the_source_below_the_command_line_then_its_lines_name_no_options():
+    assert len(SOURCES) > 300
+    texts = {str(path): texts_with_options(path.read_text()) for path in SOURCES}
+    assert {path: found for path, found in texts.items() if found} == {}
+
+
+@pytest.mark.parametrize(('line', 'found'), [
+    ("raise UsageError(f'--out {out}: exists')", ['--out {out}: exists']),
+    ("raise UsageError(f'--{error}')", ['--{error}']),
+    ("say('name another --out')", ['name another --out']),
+    ("say('taxinet dataset --resume, or add --overwrite')",
+     ['taxinet dataset --resume, or add --overwrite']),
+    ("say('continue it: taxinet dataset --resume')", []),
+    ("words += ['--out', 'x']", []),
+])
+def test_given_a_line_then_an_option_is_found_in_words_and_not_in_commands(line, found):
+    assert texts_with_options(line) == found
 
 
 TRACE = pd.DataFrame({

@@ -68,7 +68,7 @@ def test_given_json_when_asked_for_then_it_is_all_there_is_and_can_be_compared_w
     ('words', 'message'),
     [
         (['graphs'], "bench: 'graphs' is unknown; known: camera, loop, graph"),
-        (['loop', '--repeats', '0'], 'bench: --repeats is 0, needs to be 1 or more'),
+        (['loop', '--repeats', '0'], 'bench: repeats is 0, needs to be 1 or more'),
         (['loop', '--compare', 'nowhere.json'], 'bench: cannot read nowhere.json: '),
         (['loop', '--guard'], 'bench: --guard checks the ratios of the graph; name graph'),
     ],

@@ -74,7 +74,7 @@ def test_given_no_ros_when_measured_then_the_graph_is_refused(monkeypatch) -> No
     ('words', 'repeats', 'message'),
     [
         (['camera', 'cameras'], 3, r"'cameras' is unknown; known: camera, loop, graph"),
-        ([], 0, r'--repeats is 0, needs to be 1 or more'),
+        ([], 0, r'repeats is 0, needs to be 1 or more'),
     ],
 )
 def test_given_bad_options_when_run_then_they_are_refused(

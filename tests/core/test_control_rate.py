@@ -259,5 +259,5 @@ def test_given_what_keeps_to_10_hz_then_another_rate_is_refused_by_name():
             program='cruise', runs=1, seed=0, perception='original', settings=(),
             controller=f'steering+{monitor}+stop',
         )
-        with pytest.raises(UsageError, match=f'--monitor {monitor}: not with control_rate_hz=20'):
+        with pytest.raises(UsageError, match=f'monitor {monitor}: not with control_rate_hz=20'):
             options.check(other, lambda: [])

@@ -248,5 +248,5 @@ def test_given_another_camera_when_a_dataset_is_made_then_it_takes_the_pictures(
     options = DatasetOptions(program='nominal', out=tmp_path, count=1, camera=name)
     assert options.request()['camera'] == name
     assert 'camera' not in dataclasses.replace(options, camera='ours').request()
-    with pytest.raises(UsageError, match='--varied: no effect with --camera'):
+    with pytest.raises(UsageError, match='varied: no effect with camera'):
         dataclasses.replace(options, varied=True)

@@ -145,7 +145,7 @@ def test_given_a_port_that_is_taken_then_one_line_says_so_and_nothing_is_begun(t
         ):
             raise AssertionError('it should not have begun')
         assert taxinet('run', 'nominal', '--foxglove', port) == (
-            2, '', f'taxinet: error: --foxglove {port}: Address already in use; choose another '
+            2, '', f'taxinet: error: foxglove {port}: Address already in use; choose another '
             'port\n'
         )
     assert list(tmp_path.iterdir()) == []

@@ -24,7 +24,8 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.scene_markers import MovingMarkers, SceneMarkers, ground_markers
+from taxinet_ros.nodes.messages.markers import MovingMarkers, ground_markers
+from taxinet_ros.nodes.scene_markers import SceneMarkers
 
 STEPS = 21
 

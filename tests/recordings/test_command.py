@@ -94,16 +94,16 @@ def test_given_a_recording_then_its_topics_are_proposed(taxinet, drive):
 
 
 @pytest.mark.parametrize(('words', 'line'), [
-    ((), '--place is missing'),
+    ((), 'place is missing'),
     ((*KNOWN, 'drive'), 'a recording is named twice'),
     ((*KNOWN, '--simulate', '--perception-cmd', 'true'), '--simulate: not with'),
     ((*KNOWN, '--perception', 'truth'), 'uses no camera image'),
-    ((*KNOWN, '--latency', 'soon'), "--latency 'soon': expected seconds"),
+    ((*KNOWN, '--latency', 'soon'), "latency 'soon': expected seconds"),
     ((*KNOWN, '--antenna', '3'), "--antenna '3': expected X,Y"),
     ((*KNOWN, '--stamps', 'wall'), '--stamps wall: expected header or log'),
     ((*KNOWN, '--heading-is', 'ned'), '--heading-is ned: expected enu or compass'),
-    ((*KNOWN, '--against', 'taxinet'), 'is --perception itself'),
-    ((*KNOWN, '--aircraft', 'c172p'), 'without --camera it has no effect'),
+    ((*KNOWN, '--against', 'taxinet'), 'is the perception itself'),
+    ((*KNOWN, '--aircraft', 'c172p'), 'without a camera it has no effect'),
     ((*KNOWN, '--camera', 'wing'), 'the pictures are 12 x 8, camera wing has 360 x 200'),
     ((*KNOWN, '--monitor', 'taxinet'), 'needs to know the camera'),
     ((*KNOWN[:2], '--truth', '/fix', '--heading', 'track', '--heading-offset', '3'),

@@ -111,9 +111,9 @@ def test_given_topics_of_numbers_then_they_are_proposed_with_the_form_of_their_w
         *heard(ARRAY, lambda ns, cte, he: array(cte, he), topic='/array', seconds=1),
         ('/time', 'builtin_interfaces/msg/Time', stamp, BEGUN_NS)]))
     assert {row['topic']: row['use'] for row in proposals(bag)} == {
-        '/cam': '--image', '/fix': '--truth', '/imu': '--heading', '/seen': '--perception',
-        '/feet': '--perception /feet:FIELD=m,FIELD=rad',
-        '/array': '--perception /array:FIELD=m,FIELD=rad', '/time': ''}
+        '/cam': 'image', '/fix': 'truth', '/imu': 'heading', '/seen': 'perception',
+        '/feet': 'perception /feet:FIELD=m,FIELD=rad',
+        '/array': 'perception /array:FIELD=m,FIELD=rad', '/time': ''}
 
 
 def test_given_late_pictures_then_recorded_estimates_tell_their_latency(scored):
@@ -236,18 +236,18 @@ REFUSED = {
         '/feet:vector.y=deg,vector.z=deg', {}, r'vector.y is the cross-track error, and its unit '
         r'deg; expected a length \(m, km, '),
     'an unknown unit': ('/feet:vector.y=m,vector.z=grad', {}, r'unit grad; expected an angle'),
-    'no header': ('/array:data.0=m,data.1=rad', {}, 'no header, .* --image none --stamps log'),
+    'no header': ('/array:data.0=m,data.1=rad', {}, 'no header, .* image none with stamps log'),
     'no header, no pictures': (
-        '/array:data.0=m,data.1=rad', {'keep': images}, 'no header, .* --stamps log'),
+        '/array:data.0=m,data.1=rad', {'keep': images}, 'no header, .* stamps log'),
     'stamps of publishing': (
         '/published', {}, r'none of 51 estimates has the stamp of one of 51 pictures on /cam \(the '
-        r'nearest is \+0.030 s off\): .* --image none'),
+        r'nearest is \+0.030 s off\): .* image none'),
     'no estimate': ('/invalid', {}, 'TrackingError: 51 messages, none with an estimate'),
     'a camera without pictures': (
-        '/seen', {'image': 'none', 'camera': 'wing'}, '--camera: without pictures it has no'),
+        '/seen', {'image': 'none', 'camera': 'wing'}, 'camera: without pictures it has no'),
     'a monitor without pictures': (
-        '/seen', {'keep': images, 'monitor': 'taxinet'}, '--monitor: without pictures it has no'),
-    'a network without pictures': ('see', {'image': 'none'}, '--image none: no such topic'),
+        '/seen', {'keep': images, 'monitor': 'taxinet'}, 'monitor: without pictures it has no'),
+    'a network without pictures': ('see', {'image': 'none'}, 'image none: no such topic'),
 }
 
 
@@ -266,7 +266,7 @@ def test_given_estimates_that_cannot_be_scored_then_one_line_says_why(scored, wo
 
 def test_given_pictures_that_cannot_be_read_then_the_line_says_how_to_do_without(scored):
     drive = Drive(seconds=5, encoding='mono16', more=heard(OURS, ours, seconds=5))
-    with pytest.raises(UsageError, match=r'mono16.*; --image none does without pictures'):
+    with pytest.raises(UsageError, match=r'mono16.*; image none does without pictures'):
         scored(drive, perception='/seen')
     assert scored(drive, perception='/seen', image='none').counts['scored'] == 51
 

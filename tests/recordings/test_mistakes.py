@@ -34,12 +34,12 @@ MISTAKES = {
             kind == 'image' and ns > BEGUN_NS + 30 * 10**9)), {},
         r'clock leaps by \+5.0 s at message 301'),
     'the heading of a compass': (
-        Drive(heading=lambda h: h), {}, 'other convention; read it with --heading-is compass'),
+        Drive(heading=lambda h: h), {}, 'other convention; read it with heading_is compass'),
     'a heading from north': (
-        Drive(heading=quarter), {}, r'its zero is another axis .* --heading-offset -?90'),
+        Drive(heading=quarter), {}, r'its zero is another axis .* heading_offset -?90'),
     'a magnetic heading': (
         Drive(heading=lambda h: math.pi / 2 - h + math.radians(15)), {},
-        'magnetic instead of true north.*--heading-offset 15.0'),
+        'magnetic instead of true north.*heading_offset 15.0'),
     'a heading of something else': (
         Drive(heading=lambda h: 20 * h), {}, 'nothing to do with the direction of motion'),
     'mirrored pictures': (
@@ -59,7 +59,7 @@ MISTAKES = {
         "1 pictures: image encoding is 'mono16'"),
     'another frame of poses': (
         Drive(truth='odometry'), {'topic': '/odom', 'frame': '47.3,-119.4'},
-        r'another runway \(--track\), or another --frame'),
+        r'another runway \(track\), or another frame'),
     'clocks that differ by half a period': (
         Drive(along=weave, stamp=lambda kind, ns: ns + 8 * 10**9 * (kind == 'image')), {},
         'fall where the truth rises.*; or the clocks differ by seconds'),
@@ -87,16 +87,16 @@ REFUSED = {
     'no truth': (Drive(seconds=3), {'topic': '/truth'}, r'/truth is not in it; what fits: /fix'),
     'another type': (Drive(seconds=3), {'topic': '/cam'}, '/cam is a sensor_msgs/msg/Image'),
     'no frame': (
-        Drive(seconds=3, truth='odometry'), {'topic': '/odom'}, r'add --frame runway, or --frame '),
+        Drive(seconds=3, truth='odometry'), {'topic': '/odom'}, r'name their frame: runway, or '),
     'a frame without effect': (Drive(seconds=3), {'frame': 'runway'}, 'leave it out'),
     'no such transform': (
         Drive(seconds=3, truth='tf'), {'topic': '/tf:world:base_link', 'frame': 'runway'},
         'no transforms lead from world to base_link; recorded are map:odom, odom:base_link'),
-    'no heading topic': (Drive(seconds=3), {'heading': '/compass'}, '--heading /compass: no such'),
+    'no heading topic': (Drive(seconds=3), {'heading': '/compass'}, 'heading /compass: no such'),
     'a heading that is none': (Drive(seconds=3), {'heading': '/fix'}, 'expected one of '),
     'several truths': (
         Drive(seconds=3, truth='odometry', more=[('/odom2', 'nav_msgs/msg/Odometry', odometry(
-            0, 0, 0, BEGUN_NS), BEGUN_NS)]), {'topic': ''}, 'several: .* choose with --truth'),
+            0, 0, 0, BEGUN_NS), BEGUN_NS)]), {'topic': ''}, 'several: .* name one as truth'),
 }
 
 

@@ -81,8 +81,8 @@ def test_given_bright_pictures_at_night_then_a_line_names_the_clock(taxinet, tmp
     words = ('score', record(tmp_path / 'drive', night), '--place', 'kmwh_04', '--heading', '/imu',
              '--camera', 'wing', '--simulate', '--json')
     notes = json.loads(taxinet(*words)[1])['notes']
-    [note] = [one for one in notes if one.startswith('--simulate: ')]
-    assert note.startswith('--simulate: on 2023-11-14 at 23:13 the sun is ')
+    [note] = [one for one in notes if one.startswith('simulate: ')]
+    assert note.startswith('simulate: on 2023-11-14 at 23:13 the sun is ')
     assert 'deg below the horizon, but the recorded pictures are bright (mean grey 1' in note
     assert 'local time instead of UTC, the time_zone of the place, or the date' in note
     assert json.loads(taxinet(*words, '--set', 'time_of_day=14:13')[1])['notes'] == []

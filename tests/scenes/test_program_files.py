@@ -111,12 +111,12 @@ def test_a_resume_after_a_change_of_any_file_is_refused_by_its_name(
     facts = {'program': 'main.scenic', 'program_text': text}
     now = {**facts, 'program_text': text.replace(body, f'{body}# changed\n')}
     with pytest.raises(UsageError) as caught:
-        check_same_files('--resume: out', facts, now)
+        check_same_files('resume: out', facts, now)
     assert str(caught.value) == (
-        f'--resume: out was begun with another text of {changed}; put that back, or choose another '
-        '--out'
+        f'resume: out was begun with another text of {changed}; put that back, or choose another '
+        'folder'
     )
-    check_same_files('--resume: out', facts, facts)
+    check_same_files('resume: out', facts, facts)
 
 
 def test_a_resumed_campaign_compares_the_modules_of_its_program(

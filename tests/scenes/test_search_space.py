@@ -434,7 +434,7 @@ def test_s7_given_a_region_without_quantiles_when_searched_then_random_draws_and
         'searched: nothing', 'drawn, not searched: ego.position (a point in Odd)',
     ]
     with pytest.raises(UsageError, match='ce: nothing that the program draws can be searched; '
-                                         '--sampler random draws as it does'):
+                                         'sampler random draws as it does'):
         make_sampler('ce', space.dimensions, 0, 10)
     sampler = make_sampler('random', space.dimensions, 0, 10)
     points = [sampler.next() for _ in range(5)]

@@ -67,17 +67,17 @@ def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_pa
     (tmp_path / 'full' / 'something').touch()
     done = taxinet('case-study', '--out', 'full', cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith('taxinet: error: --out full: already exists; recordings')
+    assert done.stderr.startswith('taxinet: error: out full: already exists; recordings')
     assert len(done.stderr.splitlines()) == 1
     assert [path.name for path in (tmp_path / 'full').iterdir()] == ['something']
 
 
 @pytest.mark.parametrize(('options', 'complaint'), [
     ({'resume': True}, r'--resume: name the case study to continue with --out'),
-    ({'resume': True, 'out': Path('new')}, r'--resume: new: no study of taxinet case-study'),
-    ({'until': 'lunch'}, r'--until lunch: no such stage; known: train-original, '),
-    ({'scale': 0.0}, r'--scale 0: needs to be above 0, at most 100'),
-    ({'config': Path('gone.yaml')}, r'--config gone.yaml: cannot be read'),
+    ({'resume': True, 'out': Path('new')}, r'resume: new: no study of taxinet case-study'),
+    ({'until': 'lunch'}, r'until lunch: no such stage; known: train-original, '),
+    ({'scale': 0.0}, r'scale 0: needs to be above 0, at most 100'),
+    ({'config': Path('gone.yaml')}, r'config gone.yaml: cannot be read'),
 ])
 def test_given_bad_input_then_it_is_refused_and_nothing_is_written(
     tmp_path, monkeypatch, options, complaint
@@ -89,9 +89,9 @@ def test_given_bad_input_then_it_is_refused_and_nothing_is_written(
 
 
 def test_given_no_study_then_there_is_no_report(tmp_path):
-    with pytest.raises(UsageError, match=r'--report-only: name the case study with --out'):
+    with pytest.raises(UsageError, match=r'report_only: name the case study as out'):
         report_case_study(None)
-    with pytest.raises(UsageError, match=r'--report-only: .*/new: no study of taxinet case-study'):
+    with pytest.raises(UsageError, match=r'report_only: .*/new: no study of taxinet case-study'):
         report_case_study(tmp_path / 'new')
 
 

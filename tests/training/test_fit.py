@@ -114,7 +114,7 @@ def test_given_few_steps_in_all_when_fitted_then_every_epoch_is_done(images: int
 
 
 def test_given_a_rate_far_too_high_when_fitted_then_one_line_says_so() -> None:
-    with pytest.raises(UsageError, match='lower --learning-rate') as caught:
+    with pytest.raises(UsageError, match='lower the learning rate') as caught:
         fitted(learning_rate=1e30)
     assert '\n' not in str(caught.value)
 

@@ -201,11 +201,11 @@ def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_progra
 
 @pytest.mark.parametrize(
     ('validation', 'batch', 'reason'), [
-        (8, 1, '8 images are too few to hold out 8 of them, as --validation or its default says; '
-         'use --validation 1, or --validation-data'),
-        (8, 64, 'use --validation 1 and --batch 7 or less, or --validation-data'),
-        (4, 5, 'a batch of 5, as --batch or its default says, is more than the 4 images to train '
-         'on; use --batch 4 or less'),
+        (8, 1, '8 images are too few to hold out 8 of them, as asked or by default; use a '
+         'validation of 1, or a folder as validation_data'),
+        (8, 64, 'use a validation of 1, with a batch of 7 or less, or a folder as validation_data'),
+        (4, 5, 'a batch of 5, as asked or by default, is more than the 4 images to train on; '
+         'use a batch of 4 or less'),
     ],
 )
 def test_given_too_few_rows_when_trained_then_one_line_says_so(
@@ -221,23 +221,23 @@ def test_given_too_few_rows_when_trained_then_one_line_says_so(
 @pytest.mark.parametrize(
     ('change', 'reason'),
     [
-        ({'data': (Path('d'),)}, 'several of a program, --place and --data'),
-        ({'program': None}, 'neither a program, --place nor --data'),
-        ({'program': None, 'data': (Path('d'),), 'varied': True}, '--varied is for rendered'),
+        ({'data': (Path('d'),)}, 'several of a program, places and data'),
+        ({'program': None}, 'neither a program, places nor data'),
+        ({'program': None, 'data': (Path('d'),), 'varied': True}, 'varied is for rendered'),
         ({'program': None, 'data': (Path('d'), Path('x/../d'))}, 'given twice'),
         ({'program': None, 'data': (Path('d'),), 'validation_data': Path('d')}, 'given twice'),
-        ({'validation_data': Path('d')}, '--validation-data goes with --data'),
+        ({'validation_data': Path('d')}, 'validation_data goes with data'),
         ({'sampler': 'dice'}, "sampler 'dice' is unknown; known: random, halton"),
         (
             {'program': None, 'data': (Path('d'),), 'sampler': 'halton'},
-            '--sampler is for rendered scenes',
+            'sampler is for rendered scenes',
         ),
         (
             {
                 'program': None, 'data': (Path('d'),),
                 'add': (parse_portion('crossing=1', 'program'),),
             },
-            '--add or --add-runs is for rendered scenes',
+            'add or add_runs is for rendered scenes',
         ),
     ],
 )
@@ -271,7 +271,7 @@ def test_given_an_out_that_cannot_be_when_trained_then_refused_before_any_work(
     with pytest.raises(UsageError) as caught:
         train(options(tmp_path / name), progress=lambda stage, *_: started.append(stage))
     assert reason in str(caught.value)
-    assert str(caught.value).startswith('train: --out ')
+    assert str(caught.value).startswith('train: out ')
     assert '\n' not in str(caught.value)
     assert started == []
     assert {path.read_text() for path in tmp_path.iterdir()} == {'mine'}
@@ -289,7 +289,7 @@ def test_given_no_gpu_when_trained_on_one_then_refused_before_any_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cuda, 'is_available', lambda: False)
-    with pytest.raises(UsageError, match='--device cuda: torch finds no GPU here'):
+    with pytest.raises(UsageError, match='device cuda: torch finds no GPU here'):
         train(options(tmp_path / 'net.safetensors', device='cuda'))
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(UsageError, match="device 'gpu' is unknown; known: cpu, cuda"):

@@ -181,8 +181,8 @@ def test_given_folders_that_name_their_cameras_when_trained_on_with_a_view_then_
 
 @pytest.mark.parametrize(('changes', 'why'), [
     ({'images': 1, 'batch': 1}, '1 images are fewer than 2 places'),
-    ({'sampler': 'halton'}, '--sampler goes with a program'),
-    ({'validation_program': 'nominal'}, '--validation-program goes with a program'),
+    ({'sampler': 'halton'}, 'sampler goes with a program'),
+    ({'validation_program': 'nominal'}, 'validation_program goes with a program'),
     ({'view': 'behind'}, "view 'behind' is unknown; known: ahead"),
 ])
 def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so(

@@ -110,7 +110,7 @@ def test_an_unfinished_folder_without_its_request_is_no_interrupted_training(
     out, folder = tmp_path / 'net.safetensors', tmp_path / 'net.part'
     folder.mkdir()
     (folder / 'epochs.pt').write_bytes(b'of another')
-    with pytest.raises(UsageError, match='so there is nothing to resume; leave --resume out'):
+    with pytest.raises(UsageError, match='so there is nothing to resume; leave resume out'):
         train(options(out, resume=True))
     with pytest.raises(KeyboardInterrupt):
         train(options(out), at(IMAGES, 1))
@@ -137,7 +137,7 @@ def test_a_training_that_patience_has_ended_does_not_go_on(
     assert stopped.best_epoch < 49
     monkeypatch.setattr(training, 'save_model', lambda *written: (_ for _ in ()).throw(OSError(
         errno.ENOSPC, 'No space left on device', 'net.safetensors')))
-    with pytest.raises(RecordError, match=r'net.safetensors: .*No space.*go on with --resume'):
+    with pytest.raises(RecordError, match=r'net.safetensors: .*No space.*then resume it'):
         train(asked)
     monkeypatch.undo()
     monkeypatch.setattr(fitting._Trainer, 'epoch', None)
@@ -172,7 +172,7 @@ def test_a_full_disk_loses_no_picture(
 
     monkeypatch.setattr(unfinished, 'FLUSH_S', 0.0)
     monkeypatch.setattr(Record, 'put_all', full)
-    with pytest.raises(RecordError, match=r'No space left.*fix that, then go on with --resume'):
+    with pytest.raises(RecordError, match=r'No space left.*fix that, then resume it'):
         train(options(out))
     monkeypatch.undo()
     assert len(read_record(tmp_path / 'net.part' / NAME)['picture']) == 5
@@ -195,7 +195,7 @@ def test_changed_arguments_are_refused_by_name(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=expected) as caught:
             train(options(out, resume=True, **changes))
         assert '\n' not in str(caught.value)
-    with pytest.raises(UsageError, match='an interrupted training; add --resume to go on'):
+    with pytest.raises(UsageError, match='an interrupted training; resume to go on'):
         train(options(out))
     assert len(read_record(tmp_path / 'net.part' / NAME)['picture']) == 1
 
@@ -220,7 +220,7 @@ def test_a_file_in_the_way_is_named_and_not_destroyed_by_overwrite(tmp_path: Pat
         assert f'would also write {picture} (learning curves), which exists' in str(caught.value)
     assert picture.read_bytes() == b'a place'
     (tmp_path / 'edny.safetensors').write_bytes(b'')
-    with pytest.raises(UsageError, match='already exists; choose another file or use --overwrite'):
+    with pytest.raises(UsageError, match='already exists; choose another file, or overwrite it'):
         train(options(tmp_path / 'edny.safetensors'))
     train(options(tmp_path / 'edny.safetensors', overwrite=True, epochs=1))
     assert picture.read_bytes().startswith(b'\x89PNG')

@@ -43,13 +43,13 @@ def test_given_a_percentage_then_it_is_read(text, percent):
 
 
 @pytest.mark.parametrize(('words', 'said'), [
-    (('sail', None, 'truth', 'steering'), '--engine sail: unknown; known: graph, loop'),
-    (('graph', '1', 'truth', 'steering'), '--audit 1: no effect with --engine graph'),
-    (('loop', '101', 'truth', 'steering'), '--audit 101: expected a percentage'),
-    (('loop', 'nan', 'truth', 'steering'), '--audit nan: expected a percentage'),
-    (('loop', 'some', 'truth', 'steering'), '--audit some: expected a percentage'),
-    (('loop', None, 'external', 'steering'), '--engine loop: perception external is a node'),
-    (('loop', None, 'truth', 'cmd:mine --fast'), '--engine loop: controller cmd:mine --fast is a'),
+    (('sail', None, 'truth', 'steering'), 'engine sail: unknown; known: graph, loop'),
+    (('graph', '1', 'truth', 'steering'), 'audit 1: no effect with engine graph'),
+    (('loop', '101', 'truth', 'steering'), 'audit 101: expected a percentage'),
+    (('loop', 'nan', 'truth', 'steering'), 'audit nan: expected a percentage'),
+    (('loop', 'some', 'truth', 'steering'), 'audit some: expected a percentage'),
+    (('loop', None, 'external', 'steering'), 'engine loop: perception external is a node'),
+    (('loop', None, 'truth', 'cmd:mine --fast'), 'engine loop: controller cmd:mine --fast is a'),
 ])
 def test_given_what_the_engine_cannot_do_then_it_is_refused_by_name(words, said):
     engine, audit, perception, controller = words

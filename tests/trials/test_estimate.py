@@ -99,7 +99,7 @@ def test_an_estimate_that_ends_amid_its_draws_has_no_interval_and_says_how_many_
     monkeypatch.setattr('taxinet_ros.cli.run.campaign.run_on_workers', end)
     assert run_estimate(options(out), quiet=True, as_json=True) == code
     said = capsys.readouterr()
-    why = f'{line}: no interval before all have; the same with --resume continues it'
+    why = f'{line}: no interval before all have; resume it'
     assert said.err.splitlines()[1:] == [why]
     assert json.loads(said.out) == {'state': 'unfinished', 'low': None, 'high': None, 'why': why}
     assert not (out / 'estimate.json').exists()
@@ -112,8 +112,8 @@ def test_fewer_runs_than_draws_have_no_interval_and_name_the_number_that_suffice
         'taxinet_ros.cli.run.campaign.run_on_workers', run_until(lambda number: False))
     assert run_estimate(options(tmp_path / 'c', runs=70), quiet=True, as_json=False) == 3
     assert capsys.readouterr().out.splitlines()[1:] == [
-        '70 of 150 planned draws have ended: no interval before all have; the same with --resume '
-        'and --runs 150 continues it'
+        '70 of 150 planned draws have ended: no interval before all have; resume it with 150 '
+        'runs'
     ]
 
 
@@ -220,9 +220,9 @@ def test_an_unclear_estimate_is_only_a_wide_interval_and_says_what_each_end_rest
 
 
 @pytest.mark.parametrize(('asked', 'words'), [
-    ({'floor': 0.6}, '--down-to 0.6: needs to be within'),
-    ({'islands': 3}, '--islands 3: needs to be within'),
-    ({'floor': 1e-12, 'islands': 8}, 'too few to look for 1e-12 on 8 islands; use --runs '),
+    ({'floor': 0.6}, 'down_to 0.6: needs to be within'),
+    ({'islands': 3}, 'islands 3: needs to be within'),
+    ({'floor': 1e-12, 'islands': 8}, 'too few to look for 1e-12 on 8 islands; use '),
 ])
 def test_given_what_cannot_be_then_one_line_says_so(asked, words, tmp_path):
     campaign = CampaignOptions(

@@ -132,7 +132,7 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
         ({'arms': '{a: {}, b: {controller: gone.py:steer}}'}, 'arms.b.controller: controller gone'),
         ({'controller': '"cmd:"'}, "controller: 'cmd:': names no program"),
         ({'arms': '{a: {set: {steering.heading_gain: 2}, controller: external}, b: {}}'},
-         'arms.a.controller: --set steering.heading_gain: gains apply only'),
+         'arms.a.controller: steering.heading_gain: gains apply only'),
         ({'arms': '{a: {}, b: {perception: original}}', 'compare_to': 'c'},
          'compare_to: expected one of the arms'),
         ({'arms': '{a: {}, b: {}}'}, 'arms.b: runs the same as a, so there is nothing to compare'),
@@ -185,7 +185,7 @@ def test_given_another_network_then_all_arms_have_it_unless_they_differ_in_their
     assert {arm.perception for arm in experiment.arms} == {'original'}
     assert [arm.perception for arm in other.arms] == ['truth', 'truth']
     assert [arm.laid_over for arm in other.arms] == [arm.laid_over for arm in experiment.arms]
-    with pytest.raises(UsageError, match='--perception truth: the arms of mine differ in their'):
+    with pytest.raises(UsageError, match='perception truth: the arms of mine differ in their'):
         with_network(read_experiment(written(tmp_path)), 'truth')
     with pytest.raises(UsageError, match='lost'):
         with_network(experiment, 'lost')

@@ -145,7 +145,7 @@ def test_given_disturbances_that_depend_on_normals_then_each_normal_is_one(write
 
 
 @pytest.mark.parametrize(('text', 'said'), [
-    ("param 'wind_speed@3' = Range(0, 9)", r'wind_speed@3 is no Normal.*fix it with --set$'),
+    ("param 'wind_speed@3' = Range(0, 9)", r'wind_speed@3 is no Normal.*set it$'),
     ("param 'steering_bias_deg@3' = TruncatedNormal(0, 2, -3, 3)", 'steering_bias_deg@3 is no'),
     ("param 'runway_state@3' = Uniform('icy', 'wet')", 'runway_state@3 is no Normal'),
     ('mutate ego', r'ego \(mutated\) is drawn, but not searched'),

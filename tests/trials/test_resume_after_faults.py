@@ -86,7 +86,7 @@ def test_f1_given_a_bench_that_stays_broken_then_every_sitting_tries_and_says_so
         search = toy.finish(toy.options(out, sampler='halton', resume=sitting > 1), judge=judge)
         assert len(asked) == 2 * PATIENCE, 'each twice, and no fourth run'
         assert len(set(asked)) == PATIENCE
-        assert 'broken by the bench; --resume continues it' in search_summary(search)[-1]
+        assert 'broken by the bench; resuming continues it' in search_summary(search)[-1]
         rows = [row for row in search.rows if row.outcome is Outcome.INFRA_ERROR]
         assert {row.retries for row in rows} == {2 * sitting - 1}
     toy.finish(toy.options(out, sampler='halton', resume=True))
@@ -103,7 +103,7 @@ def test_f1_given_broken_runs_among_sound_ones_when_the_bench_is_still_broken_th
     first = toy.finish(toy.options(out, sampler='random'), judge=odd)
     before = read_table(out)
     assert len(before) == 20
-    assert search_summary(first)[-1] == '--resume tries the runs again that the bench broke'
+    assert search_summary(first)[-1] == 'resuming tries the runs again that the bench broke'
     tried = []
 
     def judge(request: RunRequest) -> RunResult:
@@ -221,7 +221,7 @@ def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_aga
         assert f'{out}/campaign.db: damaged ' in capsys.readouterr().err
         assert (out / 'campaign.db.damaged-1').read_bytes() == data
         if kept < 20:
-            with pytest.raises(UsageError, match=r'was damaged \(.*continue it .* with --resume'):
+            with pytest.raises(UsageError, match=r'was damaged \(.*resume it to its end'):
                 read_campaign(out)
         asked: list[int] = []
         toy.finish(toy.options(out, resume=True), judge=lambda request, asked=asked: (
@@ -319,5 +319,5 @@ def test_f9_given_a_table_that_cannot_be_written_then_the_bench_broke(
     code = cli._exit_code(lambda: toy.finish(toy.options(tmp_path / 'c')))
     assert (code, capsys.readouterr().err) == (4, (
         f'taxinet: error: {tmp_path}/c/runs.csv: [Errno 13] Permission denied; '
-        'continue with --resume\n'
+        'fix that and resume it\n'
     ))

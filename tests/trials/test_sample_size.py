@@ -63,11 +63,11 @@ def test_given_enough_already_then_no_further_run_is_needed():
 @pytest.mark.parametrize(('call', 'words'), [
     (lambda: fewest_runs(0, 0.95), 'no number of runs shows that'),
     (lambda: fewest_runs(1, 0.95), 'it claims nothing'),
-    (lambda: fewest_runs(0.1, 0.2), '--confidence 0.2'),
-    (lambda: fewest_runs(0.1, 0.95, -1), '--failures -1'),
+    (lambda: fewest_runs(0.1, 0.2), 'confidence 0.2'),
+    (lambda: fewest_runs(0.1, 0.95, -1), 'failures -1'),
     (lambda: fewest_runs(1e-12, 0.95), 'takes more than 1,000,000,000 runs'),
     (lambda: plan_with_power(0.1, 0.95, 0.1, 0.9), 'does not meet the claim'),
-    (lambda: plan_with_power(0.1, 0.95, 0.01, 1), '--power 1'),
+    (lambda: plan_with_power(0.1, 0.95, 0.01, 1), 'power 1'),
     (lambda: plan_with_power(0.05, 0.95, 0.0499, 0.9), 'too close to the claim'),
 ])
 def test_given_what_cannot_be_planned_then_it_is_refused_by_name(call, words):

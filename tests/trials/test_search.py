@@ -325,7 +325,7 @@ OTHERS = {
     'specs': ({'specs': ('phi_always',)}, 'begun with specs'),
     'overrides': ({'overrides': {'rain': '0'}}, 'begun with overrides'),
     'weights': ({'perception': 'original'}, 'begun with perception "truth", not "original"'),
-    'fewer runs': ({'runs': 5}, '--runs 5: 20 were started'),
+    'fewer runs': ({'runs': 5}, 'runs 5: 20 were started'),
 }
 
 
@@ -354,7 +354,7 @@ def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused
 
 
 def test_given_nothing_to_resume_or_a_campaign_of_another_kind_then_one_line_says_so(tmp_path):
-    with pytest.raises(UsageError, match=r'there is nothing to resume; leave --resume out'):
+    with pytest.raises(UsageError, match=r'there is nothing to resume; leave resume out'):
         toy.finish(toy.options(tmp_path, resume=True))
     write_campaign(tmp_path, facts={'seed': 3})
     with pytest.raises(UsageError, match='not written by taxinet falsify'):
@@ -402,7 +402,7 @@ def ask(folder: Path, **changes) -> Search:
 
 
 def test_given_the_runway_and_runs_that_stop_early_then_the_rule_is_refused(tmp_path):
-    with pytest.raises(UsageError, match='not with --stop-on violated'):
+    with pytest.raises(UsageError, match='not with stop_on violated'):
         ask(tmp_path, until='max-off-runway=0.1', stop_on='violated')
 
 
@@ -419,13 +419,13 @@ def test_given_wishes_then_they_are_in_the_options(tmp_path):
 
 BAD = {
     'no value': ({'sampler_options': ['every']}, 'expected key=value'),
-    'no worker': ({'workers': 0}, '--workers 0: needs to be within 1..8'),
-    'too many workers': ({'workers': 9}, '--workers 9: needs to be within 1..8'),
-    'no budget': ({'budget_min': 0.0}, '--budget 0: needs to be above 0'),
-    'budget that is none': ({'budget_min': float('nan')}, '--budget nan'),
-    'unknown rule': ({'until': 'bored'}, '--until bored: expected failures=K'),
-    'unknown images': ({'images': 'some'}, '--images some: unknown; known: all, failures, none'),
-    'resume of nowhere': ({'resume': True, 'out': None}, '--resume: name the campaign to continue'),
+    'no worker': ({'workers': 0}, 'workers 0: needs to be within 1..8'),
+    'too many workers': ({'workers': 9}, 'workers 9: needs to be within 1..8'),
+    'no budget': ({'budget_min': 0.0}, 'budget 0: needs to be above 0'),
+    'budget that is none': ({'budget_min': float('nan')}, 'budget nan'),
+    'unknown rule': ({'until': 'bored'}, 'until bored: expected failures=K'),
+    'unknown images': ({'images': 'some'}, 'images some: unknown; known: all, failures, none'),
+    'resume of nowhere': ({'resume': True, 'out': None}, 'resume: name the campaign to continue'),
 }
 
 

@@ -97,7 +97,7 @@ def test_given_a_bad_file_then_one_line_names_file_and_place(write, text, compla
 
 @pytest.mark.parametrize(('words', 'complaint'), [
     (['phi_always', 'phi_always'], 'phi_always is given twice'),
-    (['none.yaml'], r'--spec none\.yaml: cannot be read: No such file'),
+    (['none.yaml'], r'specs none\.yaml: cannot be read: No such file'),
     (['word'], "unknown name 'word'"),
 ])
 def test_given_bad_words_then_one_line_says_so(words, complaint):

@@ -133,7 +133,7 @@ def test_ros10_given_a_run_that_passed_blind_then_its_line_and_the_summary_say_s
     assert Summary([seeing]).blind_words() == []
     line = (
         'warning: 1 passed with more than 5% of their frames without a usable estimate (run 3); '
-        '--spec usable fails them'
+        'the formula usable fails them'
     )
     assert line in campaign_summary(Summary([blind, seeing]), campaign).splitlines()
     failed = dataclasses.replace(blind, outcome=Outcome.FAIL)

@@ -180,7 +180,7 @@ def test_given_sigterm_then_a_shell_sees_143_and_no_bag_folder_is_left_by_a_mist
         tmp_path,
     )
     assert lines[:2] == ['code 143', 'ended']
-    assert lines[2].startswith('taxinet: error: --out up: already exists')
+    assert lines[2].startswith('taxinet: error: out up: already exists')
     assert lines[3] == 'code 2'
     assert lines[4].startswith('taxinet: error: ')
     assert 'gone.safetensors' in lines[4]

@@ -297,7 +297,7 @@ def compare_folder(out: Path | None, words: Sequence[str]) -> Path:
     there = {path.name for path in out.iterdir()} if out.is_dir() else set()
     # Beside a record may be its journal, its lock and a damaged one.
     if {name for name in there if RECORD_NAME not in name} - _OURS:
-        raise UsageError(f'--out {out}: contains something else; choose another folder')
+        raise UsageError(f'out {out}: contains something else; choose another folder')
     return out
 
 

@@ -105,9 +105,9 @@ def check_folder(out: Path) -> None:
     if out.is_dir():
         if any(out.iterdir()) and _written_before(out) is None:
             raise UsageError(
-                f'--out {out}: contains files other than those of an analysis; choose a new folder')
+                f'out {out}: contains files other than those of an analysis; choose a new folder')
     elif out.exists() or out.is_symlink():
-        raise UsageError(f'--out {out}: not a folder; choose another')
+        raise UsageError(f'out {out}: not a folder; choose another')
 
 
 def write_analysis(
@@ -172,7 +172,7 @@ def _begin(out: Path) -> None:
         claim = {'schema': SCHEMA, 'version': VERSION, 'files': [JSON_NAME]}
         write_sealed(out / JSON_NAME, claim)
     except OSError as error:
-        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+        raise UsageError(f'out {out}: cannot be written: {error.strerror}') from error
 
 
 def _write_runs(findings: Findings, out: Path) -> None:

@@ -105,7 +105,7 @@ def scenes_program(
         UsageError: a document is known by its digest only.
     """
     overrides = overrides_statement(_recorded_settings(runs).values)
-    said = (f'# Of every scene, as --set said it of the runs of {runs.label}.', overrides)
+    said = (f'# Of every scene, as set in the runs of {runs.label}.', overrides)
     return '\n'.join([
         (source or _source(runs)).rstrip(), '', *requirements, *(said if overrides else ()),
     ])

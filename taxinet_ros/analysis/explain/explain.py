@@ -154,7 +154,7 @@ def explain(
     if world != KMWH:
         raise UsageError(f'{bag}: used world {world}, whose modified scenes cannot be rendered')
     theirs = '' if camera == OURS or renderer is not None else (
-        f'its pictures are of the camera {camera}, which is asked for others with --camera {camera}'
+        f'its pictures are of the camera {camera}, which takes others if named as camera'
     )
     track = read_track(recording, look, lambda done, all_: on_progress('frames', done, all_))
     chosen = tuple(moments(recording, track, choose_rows(track, frames)))

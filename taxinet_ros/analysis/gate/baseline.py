@@ -200,7 +200,7 @@ def against_baseline(
     before = runs_of(other, baseline, after.spec if same else None)
     if before.spec != after.spec:
         raise UsageError(
-            f'--baseline {baseline}: was judged by {before.spec}, not by {after.spec}, so the '
+            f'baseline {baseline}: was judged by {before.spec}, not by {after.spec}, so the '
             'verdicts cannot be paired'
         )
     if not again:
@@ -252,7 +252,7 @@ def _check_origin(
     frame: pd.DataFrame, other: pd.DataFrame, after: CampaignRuns, before: CampaignRuns
 ) -> None:
     """Refuse scenes that are not the baseline's, by what they differ in."""
-    where = f'--baseline {before.path}'
+    where = f'baseline {before.path}'
     facts, was = after.facts, before.facts
     named: list[tuple[str, Any, Any]] = [
         ('program', after.program, before.program),
@@ -315,6 +315,6 @@ def _check_settings(found: Compared, baseline: Path) -> None:
     ]
     if asked:
         raise UsageError(
-            f'--baseline {baseline}: had another {asked[0]}, so that its verdicts are not '
+            f'baseline {baseline}: had another {asked[0]}, so that its verdicts are not '
             'comparable; run both with the same'
         )

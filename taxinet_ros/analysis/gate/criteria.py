@@ -87,7 +87,7 @@ class Look(enum.StrEnum):
             UsageError: both do.
         """
         if planned and sequential:
-            raise UsageError('gate: --planned and --sequential do not go together; leave one out')
+            raise UsageError('gate: planned and sequential do not go together; leave one out')
         return cls('planned' if planned else 'sequential' if sequential else 'any')
 
 
@@ -140,15 +140,15 @@ class GateOptions:
         """
         self._check_values()
         if self.design is not None and self.look is not Look.SEQUENTIAL:
-            raise UsageError('--design: only with --sequential')
+            raise UsageError('design: only with sequential')
         if self.design is not None and None not in (self.min_satisfaction, self.max_off_runway):
             raise UsageError(
-                '--design: with one threshold only; it is unclear which of the two it belongs to'
+                'design: with one threshold only; it is unclear which of the two it belongs to'
             )
         if self.look is Look.SEQUENTIAL:
             if self.margin is not None:
                 raise UsageError(
-                    '--baseline: not with --sequential, which may end anywhere; the paired test is '
+                    'baseline: not with sequential, which may end anywhere; the paired test is '
                     'for scenes whose number was fixed beforehand'
                 )
             for criterion in (MIN_SATISFACTION, MAX_OFF_RUNWAY):
@@ -169,20 +169,20 @@ class GateOptions:
 
     def _check_values(self) -> None:
         for name, value in (
-            ('--min-satisfaction', self.min_satisfaction),
-            ('--max-off-runway', self.max_off_runway),
-            ('--margin', self.margin),
+            ('min_satisfaction', self.min_satisfaction),
+            ('max_off_runway', self.max_off_runway),
+            ('margin', self.margin),
         ):
             if value is not None and not 0 <= value <= 1:
                 raise UsageError(f'{name} {value:g}: a share, so it needs to be within 0..1')
         if (self.min_satisfaction, self.max_off_runway, self.margin) == (None, None, None):
             raise UsageError(
-                'gate: give a threshold: --min-satisfaction, --max-off-runway or --baseline'
+                'gate: give a threshold: min_satisfaction, max_off_runway or baseline'
             )
         if not 0.5 <= self.confidence < 1:
-            raise UsageError(f'--confidence {self.confidence:g}: needs to be within 0.5..1')
+            raise UsageError(f'confidence {self.confidence:g}: needs to be within 0.5..1')
         if self.max_infra < 0:
-            raise UsageError(f'--max-infra {self.max_infra}: needs to be 0 or more')
+            raise UsageError(f'max_infra {self.max_infra}: needs to be 0 or more')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -343,8 +343,8 @@ def _on_runway(rows: Sequence[RunRow], planned: Planned) -> ProgramRate:
         judged = [row for row in rows if row.outcome.judged]
         unknown = sum(row.left_runway is None for row in judged)
         raise UsageError(
-            f'--max-off-runway: {unknown} of {len(judged)} runs were stopped too early to know '
-            'whether they leave the runway; run the campaign without --stop-on'
+            f'max_off_runway: {unknown} of {len(judged)} runs were stopped too early to know '
+            'whether they leave the runway; run the campaign without stop_on'
         )
     return rate_of(rows, lambda row: not row.left_runway, planned)
 

@@ -112,7 +112,7 @@ class JudgedRuns:
         texts = rerun_documents(self.rows, self.facts)
         for name in texts:
             path = junit.parent / name
-            check_output(f'--junit {junit}: {path}', path, own=[path.suffix])
+            check_output(f'junit {junit}: {path}', path, own=[path.suffix])
         for name, text in texts.items():
             write_atomically(junit.parent / name, text)
         write_atomically(junit, document)
@@ -131,9 +131,9 @@ def check_junit(junit: Path, inputs: Sequence[Path]) -> None:
         UsageError: it cannot.
     """
     if not junit.parent.is_dir():
-        raise UsageError(f'--junit {junit}: no such folder: {junit.parent}')
+        raise UsageError(f'junit {junit}: no such folder: {junit.parent}')
     beside = table_beside(junit)
-    check_output(f'--junit {junit}: {beside}', beside, inputs=inputs, own=['.parquet'])
+    check_output(f'junit {junit}: {beside}', beside, inputs=inputs, own=['.parquet'])
 
 
 def recorded_runs(campaign: Path) -> JudgedRuns:

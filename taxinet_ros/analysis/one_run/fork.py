@@ -238,19 +238,16 @@ def asked_change(
     settings: dict[str, Any] = dict(read_settings(texts))
     for name, value in settings.items():
         if name.startswith(_GAIN):
-            try:
-                settings[name] = typed_gain(name.removeprefix(_GAIN), value)
-            except UsageError as error:
-                raise UsageError(f'--set {error}') from None
+            settings[name] = typed_gain(name.removeprefix(_GAIN), value)
     moved: dict[str, float] = {}
     for one in moves:
         name, _, value = one.partition('=')
         key = _SHORT_MOVES.get(name, name)
         if key not in MOVES or key in moved:
             raise UsageError(
-                f'--state {one}: expected an offset once, of {", ".join(MOVES)}, as in cte_m=+0.5'
+                f'state {one}: expected an offset once, of {", ".join(MOVES)}, as in cte_m=+0.5'
             )
-        moved[key] = _number(f'--state {name}', value)
+        moved[key] = _number(f'state {name}', value)
     word, _ = perception_of(recording.run, perception)
     return {
         'settings': settings, 'moved': moved, 'perception': perception and word,
@@ -338,15 +335,15 @@ def sweep_values(text: str) -> tuple[str, tuple[float, ...]]:
     name, _, span = text.partition('=')
     key = full_key(name)
     if key not in BY_KEY and not key.startswith(_GAIN):
-        raise UsageError(f'--sweep {text}: unknown key {name!r}')
+        raise UsageError(f'sweep {text}: unknown key {name!r}')
     parts = span.split(':')
     if len(parts) != 3:
-        raise UsageError(f'--sweep {text}: expected KEY=LOW:HIGH:STEP, as in rain=0:100:5')
-    low, high, step = (_number(f'--sweep {name}', part) for part in parts)
+        raise UsageError(f'sweep {text}: expected KEY=LOW:HIGH:STEP, as in rain=0:100:5')
+    low, high, step = (_number(f'sweep {name}', part) for part in parts)
     count = math.floor((high - low) / step + 1e-9) + 1 if step > 0 and high >= low else 0
     if not 2 <= count <= _MOST_POINTS:
         raise UsageError(
-            f'--sweep {text}: expected LOW < HIGH and a positive STEP that gives 2 to '
+            f'sweep {text}: expected LOW < HIGH and a positive STEP that gives 2 to '
             f'{_MOST_POINTS} values'
         )
     return key, tuple(round(low + number * step, 9) for number in range(count))

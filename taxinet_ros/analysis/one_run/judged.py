@@ -16,7 +16,7 @@ from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import run_samples
 from taxinet_ros.core.motion.controller import SteeringGains
-from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
+from taxinet_ros.core.mtl import Assumptions, Spec, check_read, parse_spec
 from taxinet_ros.core.mtl.explain import DECIDES, Explanation
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
@@ -24,7 +24,6 @@ from taxinet_ros.core.types import NS_PER_S, time_words
 from taxinet_ros.core.verdict.judge import SpecCheck, describe_specs, signal_ranges
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import plain
-from taxinet_ros.trials.requirements import check_assumptions_read
 from taxinet_ros.trials.summary import requirement_lines
 
 _STYLES = {
@@ -149,7 +148,7 @@ def check_own_read(vouched: Assumptions, bags: Sequence[Path], run: str | None) 
                 if run is None or samples.run in ('', run):
                     own |= {text: parse_spec(text) for text in samples.specs}
     if own:
-        check_assumptions_read(vouched, list(own.values()))
+        check_read(vouched, (spec.formula for spec in own.values()))
 
 
 class RequirementNotes:

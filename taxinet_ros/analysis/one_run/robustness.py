@@ -251,14 +251,14 @@ def check_plot(plot: Path, bags: Sequence[Path]) -> None:
         UsageError: they cannot.
     """
     if plot.suffix == _PICTURE and len(bags) > 1:
-        raise UsageError(f'--plot {plot}: {len(bags)} bags given; name a folder')
+        raise UsageError(f'plot {plot}: {len(bags)} bags given; name a folder')
     if plot.suffix not in ('', _PICTURE):
-        raise UsageError(f'--plot {plot}: write NAME.png, or name a folder')
+        raise UsageError(f'plot {plot}: write NAME.png, or name a folder')
     folder = plot.parent if plot.suffix else plot
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f'--plot {plot}: cannot be written: {error.strerror}') from error
+        raise UsageError(f'plot {plot}: cannot be written: {error.strerror}') from error
 
 
 def check_one_run(plot: Path, judged: Sequence[JudgedBag]) -> None:
@@ -269,7 +269,7 @@ def check_one_run(plot: Path, judged: Sequence[JudgedBag]) -> None:
     """
     if plot.suffix == _PICTURE and len(judged) > 1:
         names = ', '.join(bag.run or bag.name for bag in judged)
-        raise UsageError(f'--plot {plot}: the bag holds {names}; name a folder, or one with --run')
+        raise UsageError(f'plot {plot}: the bag holds {names}; name a folder, or a run')
 
 
 def draw_bag(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
@@ -304,7 +304,7 @@ def draw_bag(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
             end_s=bag.duration_s,
         )
     except OSError as error:
-        raise UsageError(f'--plot {path}: cannot be written: {error.strerror}') from error
+        raise UsageError(f'plot {path}: cannot be written: {error.strerror}') from error
     return path
 
 

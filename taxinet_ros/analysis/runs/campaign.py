@@ -359,7 +359,7 @@ def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
     if not names:
         raise UsageError(f'{path}: the table has no robustness')
     if spec is not None and spec not in names:
-        raise UsageError(f'--spec {spec}: not judged in {path}; known: {", ".join(names)}')
+        raise UsageError(f'spec {spec}: not judged in {path}; known: {", ".join(names)}')
     return spec or names[0]
 
 

@@ -70,7 +70,7 @@ def _nothing_learned(search: Engine[Search], probabilities: Probabilities) -> st
     if all(probabilities[name] == priors[name] for name in probabilities):
         return (
             f'after {judged} judged runs {search.proposer.sampler} still draws as the '
-            'program does; ask for more --runs'
+            'program does; ask for more runs'
         )
     return ''
 

@@ -32,10 +32,10 @@ def unfinished_words(search: Engine[Search]) -> str:
     if ended == planned:
         return ''
     why = 'interrupted' if search.interrupted else search.stopped
-    runs = f' and --runs {planned}' if search.options.runs < planned else ''
+    runs = f' with {planned} runs' if search.options.runs < planned else ''
     return (
         f'{ended:,} of {planned:,} planned draws have ended{f" ({why})" if why else ""}: no '
-        f'interval before all have; the same with --resume{runs} continues it'
+        f'interval before all have; resume it{runs}'
     )
 
 

@@ -84,7 +84,7 @@ def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
     only between the last three system calls; a bag interrupted then can be recovered.
     """
     if not folder.is_dir():
-        raise UsageError(f'{folder}: is not a run folder; name one, or a new one with --out')
+        raise UsageError(f'{folder}: is not a run folder; name one, or a new folder as out')
     draft = folder / _DRAFT / folder.name
     shutil.rmtree(draft.parent, ignore_errors=True)
     try:

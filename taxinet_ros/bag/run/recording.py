@@ -202,14 +202,14 @@ class Recording(Sequence['Recording']):
             chosen = [run for run in self.runs if name in (run.name, run.run_id)]
             if len(chosen) != 1:
                 known = ', '.join(run.name for run in self.runs) or 'none'
-                raise UsageError(f'--run {name}: no such run in {self.path}; it holds {known}')
+                raise UsageError(f'run {name}: no such run in {self.path}; it holds {known}')
             return chosen[0]
         if not present:
             raise self.without_run()
         if len(present) > 1:
             raise UsageError(
                 f'{self.path}: holds {len(present)} runs: '
-                f'{", ".join(run.words() for run in present)}; choose one with --run, or split it: '
+                f'{", ".join(run.words() for run in present)}; choose a run, or split it: '
                 f'taxinet bag split {self.path} --out DIR'
             )
         return present[0]

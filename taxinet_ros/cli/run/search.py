@@ -67,7 +67,7 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
             run_on_workers(search, cluster)
         learned, planned = write_learned(search), search.first_planned
     likeliest = likeliest_failure(asked.sampler, search.rows)
-    lines = [*search_summary(search, likeliest), *learned]
+    lines = [*search_summary(search, likeliest, resuming='--resume'), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if as_json:
         values = summary_json(search.summary, asked.campaign, planned)

@@ -98,7 +98,7 @@ def case_study(
         raise UsageError('--resume: name the case study to continue with --out')
     begun = resume or (listed and out is not None and (out / RECORD_NAME).exists())
     if begun and out is not None and config is None and scale is None:
-        study = read_study(out, '--resume' if resume else '--list')
+        study = read_study(out, 'resume' if resume else 'list')
     else:
         study = scaled(read_config(config or shipped_config()), 1.0 if scale is None else scale)
     study = resized(study, runs=runs, images=images, workers=workers)
@@ -123,7 +123,8 @@ def case_study(
         show(study_heading(study, wanted, out))
         show(f'every stage runs in {out}')
         run = StudyRun(
-            out, wanted, record=record, work=call_stage, workers=study.workers, show=show)
+            out, wanted, record=record, work=call_stage, workers=study.workers, show=show,
+            again='--resume')
         try:
             run.run()
         except StoppedError as stopped:

@@ -139,7 +139,7 @@ def improve(
         def run_stages(stages: Sequence[Stage]) -> None:
             StudyRun(
                 folder, with_engine(stages, engine, audit, where), record=record, work=call_stage,
-                workers=options.workers, show=show,
+                workers=options.workers, show=show, again='--resume',
             ).run()
 
         try:

@@ -253,7 +253,7 @@ def conformal_threshold(largest: Sequence[float], rate: float) -> float:
         needed = math.ceil(1 / rate - 1 - 1e-9)
         raise UsageError(
             f'a rate of {rate:g} per check needs {needed:,} satisfied runs, there are {n:,}; '
-            'use more --runs or a larger --rate'
+            'use more runs or a larger rate'
         )
     return sorted(largest)[rank - 1]
 
@@ -477,7 +477,7 @@ def check_monitor_rate(word: str, scenes: Iterable[Scenario]) -> None:
         UsageError: there is such a scene.
     """
     for scene in () if names_user_code(word) else scenes:
-        check_usual_rate(scene, f'--monitor {word}')
+        check_usual_rate(scene, f'monitor {word}')
 
 
 def _calibration_path(word: str) -> Path:

@@ -93,20 +93,20 @@ def monitored(controller: str, monitor: str | None, fallback: str | None) -> str
     """
     if monitor is None:
         if fallback is not None:
-            raise UsageError(f'--fallback {fallback}: no effect without --monitor')
+            raise UsageError(f'fallback {fallback}: no effect without a monitor')
         return controller
     if parts_of(controller) is not None:
-        raise UsageError(f'--monitor {monitor}: --controller {controller} names one already')
+        raise UsageError(f'monitor {monitor}: controller {controller} names one already')
     if is_node_elsewhere(controller):
         raise UsageError(
-            f'--monitor {monitor}: the switch is in our controller node, and --controller '
+            f'monitor {monitor}: the switch is in our controller node, and controller '
             f'{controller} is another node'
         )
     chosen = fallback or STOPPING
     if not _is_fallback(chosen):
-        raise UsageError(f'--fallback {chosen}: unknown; known: {", ".join(FALLBACKS)}')
+        raise UsageError(f'fallback {chosen}: unknown; known: {", ".join(FALLBACKS)}')
     if '+' in monitor or '+' in chosen:
-        raise UsageError(f'--monitor {monitor} --fallback {chosen}: + is not allowed in them')
+        raise UsageError(f'monitor {monitor}, fallback {chosen}: + is not allowed in them')
     return Parts(controller=controller, monitor=monitor, fallback=chosen).word
 
 
@@ -164,7 +164,7 @@ class Assured(Controller):
             UsageError: the second perception uses no picture.
         """
         if second is not None and not second.needs_image:
-            raise UsageError(f'--fallback {parts.fallback}: it sees no picture; name a network')
+            raise UsageError(f'fallback {parts.fallback}: it sees no picture; name a network')
         self._fallback = parts.fallback
         second_word = '' if second is None else second.word
         self.word = replace(
@@ -280,7 +280,7 @@ def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool 
         return plain.check_controller(word, gains, graph=graph)
     _check_parts(parts)
     if gains:
-        raise UsageError(f'--set steering.{min(gains)}: cannot be set together with --monitor')
+        raise UsageError(f'steering.{min(gains)}: cannot be set together with a monitor')
     return _digest(
         plain.check_controller(parts.controller), check_monitor(parts.monitor),
         check_perception(parts.second) if parts.second else '', parts.fallback.partition(':')[0],
@@ -293,7 +293,7 @@ def _check_parts(parts: Parts) -> None:
         if is_node_elsewhere(word):
             raise UsageError(f'{parts.word}: {word} {NO_NODE_HERE}')
     if parts.second == GroundTruth.word:
-        raise UsageError(f'--fallback {parts.fallback}: it sees no picture; name a network')
+        raise UsageError(f'fallback {parts.fallback}: it sees no picture; name a network')
 
 
 def named_parts(word: str) -> bool:

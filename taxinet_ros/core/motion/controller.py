@@ -309,8 +309,7 @@ def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool 
         SteeringGains(**gains)
     elif gains:
         raise UsageError(
-            f'--set steering.{min(gains)}: gains apply only to the shipped law, not to '
-            f'--controller {word}'
+            f'steering.{min(gains)}: gains apply only to the shipped law, not to controller {word}'
         )
     if graph and is_node_elsewhere(word):
         command_of(word)

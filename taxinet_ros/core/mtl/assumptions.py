@@ -56,7 +56,7 @@ def check_read(assumptions: Assumptions, formulas: Iterable[ast.Formula]) -> Non
         UsageError: an assumption has no effect.
     """
     read = {name for formula in formulas for name in ast.signal_names(formula)}
-    for kind, assumed in (('bound', assumptions.bounds), ('rate', assumptions.rates)):
+    for kind, assumed in (('bounds', assumptions.bounds), ('rates', assumptions.rates)):
         for name in assumed:
             if name not in read:
                 raise UsageError(f'{kind} {name}: has no effect: no requirement reads {name}')
@@ -79,11 +79,11 @@ def parse_bounds(
     """
     found: dict[str, tuple[float, float]] = {}
     for text in texts:
-        name, value = _split(text, 'bound', '-25:25', found, signals)
+        name, value = _split(text, 'bounds', '-25:25', found, signals)
         ends = [_number(end) for end in value.split(':')]
         if len(ends) != 2 or not ends[0] <= ends[1] or math.inf in (ends[0], -ends[1]):
             raise UsageError(
-                f'bound {text!r}: expected LOW:HIGH with LOW <= HIGH{_unit(name)}, '
+                f'bounds {text!r}: expected LOW:HIGH with LOW <= HIGH{_unit(name)}, '
                 f'e.g. {name}=-25:25'
             )
         found[name] = (ends[0], ends[1])
@@ -107,11 +107,11 @@ def parse_rates(
     """
     found: dict[str, float] = {}
     for text in texts:
-        name, value = _split(text, 'rate', '3', found, signals)
+        name, value = _split(text, 'rates', '3', found, signals)
         rate = _number(value)
         if not 0 <= rate < math.inf:
             raise UsageError(
-                f'rate {text!r}: expected a number >= 0{_unit(name, " per s")}, e.g. {name}=3'
+                f'rates {text!r}: expected a number >= 0{_unit(name, " per s")}, e.g. {name}=3'
             )
         found[name] = rate
     return found

@@ -218,7 +218,7 @@ def free_timing(factor: str) -> Timing:
         value = math.nan
     if not (value == 0 or LEAST_FACTOR <= value <= MOST_FACTOR):
         raise UsageError(
-            f'real-time-factor {factor}: needs to be within {LEAST_FACTOR:g}..{MOST_FACTOR:g}, or '
+            f'real_time_factor {factor}: needs to be within {LEAST_FACTOR:g}..{MOST_FACTOR:g}, or '
             f'{MAX} (or 0) for unlimited'
         )
     return Timing(free=True, factor=value)

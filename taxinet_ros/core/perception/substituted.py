@@ -87,7 +87,7 @@ def parse_substitution(text: str, periods_s: Iterable[float] = (_STEP_S,)) -> Su
     if kind in _PLAIN and not colon:
         return Substitution(kind=kind)
     if kind not in _AMOUNTS:
-        raise UsageError(f'--with {text}: unknown; known: {", ".join(KNOWN)}')
+        raise UsageError(f'substitution {text}: unknown; known: {", ".join(KNOWN)}')
     unit = 'm' if kind == _NOISY else 's'
     try:
         amount = float(rest)
@@ -95,7 +95,9 @@ def parse_substitution(text: str, periods_s: Iterable[float] = (_STEP_S,)) -> Su
         amount = math.nan
     if not 0 < amount <= _AMOUNTS[kind]:
         most = f'{_AMOUNTS[kind]:g} {unit}'
-        raise UsageError(f'--with {text}: needs an amount above 0 up to {most}, as in {kind}:0.5')
+        raise UsageError(
+            f'substitution {text}: needs an amount above 0 up to {most}, as in {kind}:0.5'
+        )
     for period_s in () if kind == _NOISY else periods_s:
         _check_delay(text, amount, period_s)
     # The text form has six digits; round the amount so that both are equal.
@@ -105,7 +107,7 @@ def parse_substitution(text: str, periods_s: Iterable[float] = (_STEP_S,)) -> Su
 def _check_delay(text: str, delay_s: float, period_s: float) -> None:
     steps = delay_s / period_s
     if abs(steps - round(steps)) > 1e-6:
-        raise UsageError(f'--with {text}: a delay has to be a multiple of {period_s:g} s')
+        raise UsageError(f'substitution {text}: a delay has to be a multiple of {period_s:g} s')
 
 
 def substituted(

@@ -35,7 +35,7 @@ def parse_stop_on(word: str) -> StopOn:
     try:
         return StopOn(word or StopOn.NEVER)
     except ValueError:
-        raise UsageError(f'--stop-on {word}: unknown; known: {", ".join(StopOn)}') from None
+        raise UsageError(f'stop_on {word}: unknown; known: {", ".join(StopOn)}') from None
 
 
 def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:

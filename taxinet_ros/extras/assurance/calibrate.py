@@ -89,13 +89,13 @@ def calibrate(
             runs for the rate, or a part cannot be used.
     """
     if not 0 < rate < 1:
-        raise UsageError(f'--rate {rate:g}: expected a share between 0 and 1')
+        raise UsageError(f'rate {rate:g}: expected a share between 0 and 1')
     if out.suffix != SUFFIX:
-        raise UsageError(f'--out {out}: has to end in {SUFFIX}')
+        raise UsageError(f'out {out}: has to end in {SUFFIX}')
     if out.exists():
-        raise UsageError(f'--out {out}: already exists; choose a new name')
+        raise UsageError(f'out {out}: already exists; choose a new name')
     if not out.parent.is_dir():
-        raise UsageError(f'--out {out}: {out.parent} is not a folder; make it first')
+        raise UsageError(f'out {out}: {out.parent} is not a folder; make it first')
     eyes = make_perception(perception)
     if not eyes.needs_image:
         raise UsageError(f'{perception}: sees no picture, so there is nothing to monitor')

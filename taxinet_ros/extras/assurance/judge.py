@@ -99,7 +99,7 @@ class JudgeOptions:
         check_controller(self.controller)
         if len(set(self.fallbacks)) != len(self.fallbacks) or WATCH in self.fallbacks:
             raise UsageError(
-                f'--fallback: each once, and without {WATCH}, which is driven in any case'
+                f'fallback: each once, and without {WATCH}, which is driven in any case'
             )
         for word in self.words.values():
             check_controller(word)

@@ -15,7 +15,6 @@ from taxinet_ros.arguments import (
     TEXT,
     WORD,
     Kind,
-    says_parameters,
     takes,
 )
 from taxinet_ros.extras.evidence import verify
@@ -27,7 +26,6 @@ _PATHS = PATH | Kind('a list of paths', lambda value: isinstance(value, list | t
 _Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 
-@says_parameters
 @takes(
     campaigns=_PATHS, out=PATH, requirement=NONE | TEXT, claim=NONE | FINITE, spec=NONE | WORD,
     odd=NONE | PATH, localize=_PATHS, monitor_table=_PATHS, perception=_PATHS,
@@ -66,7 +64,6 @@ def evidence(
     return found.content
 
 
-@says_parameters
 @takes(folder=PATH, campaigns=_PATHS, sample=FROM_0, seed=FROM_0, perception=_PATHS)
 def verify_evidence(
     folder: str | os.PathLike[str], *, campaigns: _Paths = (), sample: int = 5, seed: int = 0,

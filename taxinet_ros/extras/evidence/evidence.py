@@ -71,7 +71,7 @@ def parse_claim(text: str) -> float:
     except ValueError:
         value, rest = 0.0, 'no number'
     if rest.strip():
-        raise UsageError(f'--claim {text}: expected a share such as 0.99 or 99%')
+        raise UsageError(f'claim {text}: expected a share such as 0.99 or 99%')
     return value / 100 if percent else value
 
 
@@ -113,7 +113,7 @@ def collect(
         raise UsageError('evidence: name at least one campaign')
     if claim is not None and not 0 < claim < 1:
         raise UsageError(
-            f'--claim {claim:g}: expected a share between 0 and 1, such as 0.99 or 99%; '
+            f'claim {claim:g}: expected a share between 0 and 1, such as 0.99 or 99%; '
             'no number of runs shows 100 %'
         )
     bags = sum(1 for one in campaigns for _ in one.glob(f'*/*.{STORAGE_ID}'))
@@ -169,8 +169,8 @@ def collect(
 
 def _refuse_repeated(content: Mapping[str, Any]) -> None:
     for option, key, part, why in (
-        ('--localize', 'localisations', 'campaigns', 'about the same campaign'),
-        ('--monitor-table', 'monitors', 'figures', 'the same judgement'),
+        ('localize', 'localisations', 'campaigns', 'about the same campaign'),
+        ('monitor_table', 'monitors', 'figures', 'the same judgement'),
     ):
         each = [digest_of(one[part]) for one in content[key]]
         if len(set(each)) != len(each):
@@ -242,7 +242,7 @@ def _spec(wanted: str | None, one: CampaignInput) -> str:
     known = list(one.facts['specs'])
     if wanted is not None and wanted not in known:
         raise UsageError(
-            f'--spec {wanted}: not judged in {one.folder}; known: {", ".join(known)}'
+            f'spec {wanted}: not judged in {one.folder}; known: {", ".join(known)}'
         )
     return wanted or str(known[0])
 

@@ -84,8 +84,8 @@ def read_requirement(given: str) -> dict[str, str]:
     try:
         text = Path(given).read_bytes().decode() if is_file else given
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f'--requirement {given}: cannot be read ({error})') from error
-    return requirement_of(text, f'--requirement {given:.60}')
+        raise UsageError(f'requirement {given}: cannot be read ({error})') from error
+    return requirement_of(text, f'requirement {given:.60}')
 
 
 def requirement_of(text: str, where: str) -> dict[str, str]:
@@ -155,10 +155,7 @@ def read_campaign(folder: Path, name: str, on_bag: OnBag) -> CampaignInput:
             'formula and network; run it again with this version'
         )
     if recorded.content.unfinished or not recorded.content.finished:
-        raise UsageError(
-            f'{folder}: has not ended in order; finish it by the command that began it, with '
-            '--resume'
-        )
+        raise UsageError(f'{folder}: has not ended in order; resume it to its end')
     if not recorded.rows:
         raise UsageError(f'{folder}: has no run')
     _refuse_damaged(folder, on_bag)
@@ -254,9 +251,9 @@ def _why_unusable(path: Path, sha256: str) -> str:
     if path.suffix != SUFFIX:
         return 'it is no network of taxinet train, so no model card names its data'
     if not path.is_file():
-        return 'its file is not there any more; name it with --perception FILE'
+        return 'its file is not there any more; name it as perception'
     if file_sha256(path) != sha256:
-        return 'its file has changed since the runs; name the former with --perception FILE'
+        return 'its file has changed since the runs; name the former as perception'
     try:
         own = load_card(card_path(path)).weights_sha256 == sha256
     except UsageError as error:
@@ -275,7 +272,7 @@ def usable_network(facts: Mapping[str, Any], given: Iterable[str] = ()) -> str:
             why = f'{candidate} has another SHA-256 than the network of the runs'
         except UsageError as error:
             why = str(error)
-    raise UsageError(f'{why}; name the network of the runs with --perception FILE')
+    raise UsageError(f'{why}; name the network of the runs as perception')
 
 
 Results = dict[str, Any]

@@ -91,7 +91,7 @@ def verify(
         on_progress: called with the stage, what is done of it, and how much there is.
     """
     if absent := [path for path in moved if not path.exists()]:
-        raise UsageError(f'--campaign {absent[0]}: no such folder')
+        raise UsageError(f'campaign {absent[0]}: no such folder')
     found, path = Verification(), folder / JSON_NAME
     _check_files(folder, found)
     try:
@@ -196,7 +196,7 @@ class _Places:
     def folder(self, kind: str, one: Mapping[str, Any]) -> Path:
         """Folder of an input: one named as moved with these files, else where it was."""
         files, what = one['files'], f'{kind} {one.get("name", one["id"])}'
-        moved = 'if it has moved, name its folder with --campaign'
+        moved = 'if it has moved, name its folder as campaign'
         place = self._evidence / one['path']
         for path in self._moved:
             if all(_sha256(path / name) == sha256 for name, sha256 in files.items()):
@@ -221,7 +221,7 @@ class _Places:
         """What was named as moved and is none of the inputs."""
         for path in self._moved:
             if path not in self.recorded:
-                yield (f'--campaign {path}: is none of the inputs, or has changed since the '
+                yield (f'campaign {path}: is none of the inputs, or has changed since the '
                        'evidence was written')
 
 
@@ -279,7 +279,7 @@ def _drive_again(
 ) -> None:
     """Drive a sample of the runs again and compare them to the bit."""
     if not number:
-        found.notes.append('no run was driven again, as asked by --sample 0')
+        found.notes.append('no run was driven again, as asked by sample 0')
         return
     runs: list[tuple[str, RunRow]] = []
     for name in sorted(again.inputs):

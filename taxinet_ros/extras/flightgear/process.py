@@ -46,9 +46,9 @@ def parse_size(text: str) -> tuple[int, int]:
     """Width and height of a window in pixels from ``480x288``."""
     width, _, height = text.partition('x')
     if not all(part.isascii() and part.isdigit() and len(part) < 6 for part in (width, height)):
-        raise UsageError(f'--size {text}: expected WIDTHxHEIGHT, such as 480x288')
+        raise UsageError(f'size {text}: expected WIDTHxHEIGHT, such as 480x288')
     if not all(_LEAST_PX <= int(side) <= _MOST_PX for side in (width, height)):
-        raise UsageError(f'--size {text}: sides are {_LEAST_PX}..{_MOST_PX} px')
+        raise UsageError(f'size {text}: sides are {_LEAST_PX}..{_MOST_PX} px')
     return int(width), int(height)
 
 
@@ -82,7 +82,7 @@ def started(
         size_px: width and height of its window.
     """
     if not (airport.isalnum() and airport.isascii()):
-        raise UsageError(f'--at {airport}: not the code of an airport')
+        raise UsageError(f'at {airport}: not the code of an airport')
     programs = {name: find_program(name) for name in _PROGRAMS}
     _check_free(host, port)
     home = home_folder()

@@ -340,7 +340,7 @@ def lens_of(camera: CameraModel, width_px: int, height_px: int) -> Lens:
         least = _LEAST_SHARP * max(camera.focal_px) / focal
         raise UsageError(
             f'camera flightgear: its window of {width_px} x {height_px} is too small for camera '
-            f'{camera.name}; start it with --size {math.ceil(width_px * least)}x'
+            f'{camera.name}; start it with a size of {math.ceil(width_px * least)}x'
             f'{math.ceil(height_px * least)}'
         )
     return Lens(

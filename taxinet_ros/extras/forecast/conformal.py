@@ -107,7 +107,7 @@ class ConformalModel:
         number = self.calibration_runs
         if number < least:
             raise UsageError(
-                f'--confidence {confidence:g}: needs at least {least} calibration runs, not '
+                f'confidence {confidence:g}: needs at least {least} calibration runs, not '
                 f'{number}; calibrate on a campaign of {2 * least} or more'
             )
         rank = math.ceil((number + 1) * confidence - 1e-9) - 1
@@ -125,7 +125,7 @@ class ConformalModel:
 def least_calibration_runs(confidence: float) -> int:
     """Fewest calibration runs for a confidence: 19 for 95 %."""
     if not 0.5 <= confidence < 1:
-        raise UsageError(f'--confidence {confidence:g}: needs to be within 0.5..1')
+        raise UsageError(f'confidence {confidence:g}: needs to be within 0.5..1')
     return math.ceil(confidence / (1 - confidence) - 1e-9)
 
 

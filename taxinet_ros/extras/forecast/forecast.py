@@ -289,7 +289,7 @@ def population_of_campaign(
     """What a campaign's runs have in common, as text by name."""
     formulas = facts.get('specs', {})
     if spec not in formulas:
-        raise UsageError(f'--spec {spec}: the campaign judged {", ".join(formulas) or "nothing"}')
+        raise UsageError(f'spec {spec}: the campaign judged {", ".join(formulas) or "nothing"}')
     laid_over = {**facts.get('laid_over', {}), **facts.get('overrides', {})}
     fingerprint = str(facts.get('perception_sha256', ''))[:16]
     controller, controller_sha256 = (
@@ -345,7 +345,7 @@ def read_forecast_runs(
     if not rows:
         raise UsageError(
             f'{folder}: the program itself drew none of its {chosen} judged runs; take a campaign '
-            'of --sampler random'
+            'of sampler random'
         )
     lengths = {row.duration_s for row in rows}
     if len(lengths) > 1:
@@ -353,7 +353,7 @@ def read_forecast_runs(
     if early := sum(bool(row.stopped_early) for row in rows):
         raise UsageError(
             f'{folder}: {early} of {len(rows)} runs were stopped before their end, so their final '
-            'robustness is unknown; run it without --stop-on'
+            'robustness is unknown; run it without stop_on'
         )
     duration_s = rows[0].duration_s
     if duration_s is None or spec not in rows[0].rho:
@@ -410,11 +410,11 @@ def calibrate(
     steps = every_s / STEP_S
     every_steps = round(steps) if math.isfinite(steps) else 0
     if not 1 <= every_steps <= 10_000 or abs(steps - every_steps) > 1e-6:
-        raise UsageError(f'--every {every_s:g}: needs to be a multiple of {STEP_S:g} s')
+        raise UsageError(f'every {every_s:g}: needs to be a multiple of {STEP_S:g} s')
     outcomes = {row.index: row.outcome for row in campaign.rows}
     if not sample_size_was_fixed(outcomes, campaign.planned_runs):
         rules = ' and '.join(recorded_rules(campaign.facts))
-        how = f'may have ended by --until {rules}' if rules else 'has another number than planned'
+        how = f'may have ended by the rule {rules}' if rules else 'has another number than planned'
         raise UsageError(
             f'{campaign.folder}: its number of runs {how}, so it may depend on their results; a '
             'guarantee needs a number fixed beforehand: finish it, or calibrate on another'
@@ -484,7 +484,7 @@ def outside_of_campaign(forecast: Forecast, campaign: RecordedCampaign, runs: Ru
     if not found and int(campaign.facts.get('seed', 0)) == forecast.seed:
         same = sum(row.run_id in forecast.runs for row in runs.rows)
         if same:
-            found.append(f'{same} of these runs were calibrated on: take another --seed')
+            found.append(f'{same} of these runs were calibrated on: take another seed')
     return found
 
 

@@ -103,13 +103,9 @@ def _parse_specs(
 def _parse_assumptions(
     bounds: Sequence[str], rates: Sequence[str], signals: Sequence[str], specs: Sequence[Spec]
 ) -> Assumptions:
-    try:
-        found = parse_assumptions(bounds, rates, signals)
-        check_read(found, (spec.formula for spec in specs))
-        return found
-    except UsageError as error:
-        kind, _, rest = str(error).partition(' ')
-        raise UsageError(f'{kind}s: {rest}') from None
+    found = parse_assumptions(bounds, rates, signals)
+    check_read(found, (spec.formula for spec in specs))
+    return found
 
 
 def _sampler(sampled_on: str, names: Sequence[str]) -> str:

@@ -65,18 +65,18 @@ def varied_gains(texts: Iterable[str]) -> Ranges:
         key, equals, values = text.partition('=')
         low, colon, high = values.partition(':')
         if not equals or not colon or not key.startswith(GAIN_PREFIX):
-            raise UsageError(f'--vary {text}: expected steering.GAIN=LOW:HIGH')
+            raise UsageError(f'vary {text}: expected steering.GAIN=LOW:HIGH')
         name = key.removeprefix(GAIN_PREFIX)
         try:
             ends = typed_gain(name, low), typed_gain(name, high)
         except UsageError as error:
-            raise UsageError(f'--vary {text}: {error}') from None
+            raise UsageError(f'vary {text}: {error}') from None
         valid = GAIN_RANGES[name]
         if name in found:
-            raise UsageError(f'--vary {text}: {name} is named twice')
+            raise UsageError(f'vary {text}: {name} is named twice')
         if not valid.low <= ends[0] < ends[1] <= valid.high:
             raise UsageError(
-                f'--vary {text}: expected LOW below HIGH, both within '
+                f'vary {text}: expected LOW below HIGH, both within '
                 f'{valid.low:g}..{valid.high:g} {valid.unit}'
             )
         found[name] = ends

@@ -25,7 +25,7 @@ def check_port(port: int) -> None:
         UsageError: it is in use or out of range, or foxglove-sdk is not installed.
     """
     if importlib.util.find_spec('foxglove') is None:
-        raise UsageError(f'--foxglove: {NOT_INSTALLED}')
+        raise UsageError(f'foxglove: {NOT_INSTALLED}')
     try:
         with socket.socket() as probe:
             # As in the server: a recently closed port counts as free.
@@ -33,7 +33,7 @@ def check_port(port: int) -> None:
             probe.bind((HOST, port))
     except (OSError, OverflowError) as error:
         reason = getattr(error, 'strerror', None) or 'ports range from 1 to 65535'
-        raise UsageError(f'--foxglove {port}: {reason}; choose another port') from error
+        raise UsageError(f'foxglove {port}: {reason}; choose another port') from error
 
 
 @contextlib.contextmanager
@@ -59,7 +59,7 @@ def foxglove_view(port: int, domain: int) -> Iterator[None]:
                 errors.seek(0)
                 said = errors.read().decode(errors='replace').strip().splitlines()
                 last = said[-1] if said else 'it exited without a message'
-                raise UsageError(f'--foxglove: {last.removeprefix("error: ")}')
+                raise UsageError(f'foxglove: {last.removeprefix("error: ")}')
             yield
         finally:
             server.end()

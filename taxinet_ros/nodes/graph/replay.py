@@ -200,7 +200,7 @@ def replay(
         BagError: the bag cannot be read, or its frames cannot be rendered.
     """
     if target not in _ANSWERS:
-        raise UsageError(f'--into {target}: not a replay target; known: {", ".join(TARGETS)}')
+        raise UsageError(f'into {target}: not a replay target; known: {", ".join(TARGETS)}')
     _refuse_sensing(target, perception, controller)
     inputs = _inputs(target, perception)
     answer = _ANSWERS[target]
@@ -280,7 +280,7 @@ def _refuse_sensing(target: str, perception: str, controller: str) -> None:
     )
     if asking:
         raise UsageError(
-            f'--into {target}: its function has a parameter sensors, which are not replayed; run '
+            f'into {target}: its function has a parameter sensors, which are not replayed; run '
             'the scene again: taxinet run --from BAG'
         )
 

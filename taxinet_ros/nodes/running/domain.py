@@ -117,7 +117,7 @@ def check_workers(workers: int) -> None:
     if text and workers > 1:
         raise UsageError(
             f'{BY_HAND} {text}: a single domain, but {workers} workers need one each; use '
-            f'--workers 1, or unset {BY_HAND}'
+            f'one worker, or unset {BY_HAND}'
         )
     domain_by_hand()
 

@@ -108,7 +108,7 @@ class ImproveOptions:
             raise UsageError(f'improve: sampler {self.sampler!r} is unknown; known: {known}')
         if self.runs < 2:
             raise UsageError(
-                f'improve: --budget {self.budget} leaves {self.runs} runs for each of the three '
+                f'improve: budget {self.budget} leaves {self.runs} runs for each of the three '
                 f'campaigns of {self.rounds} rounds; ask for more runs or fewer rounds'
             )
 
@@ -190,7 +190,7 @@ class Round:
         lines += [f'  cause: {words}' for words in self.causes]
         lines += [f'  cluster: {words}' for words in self.clusters]
         if self.decision is None:
-            return [*lines, '  no failures to learn from; a larger --budget may find more']
+            return [*lines, '  no failures to learn from; a larger budget may find more']
         return [*lines, *self.decision.lines()]
 
 
@@ -200,7 +200,7 @@ def resumed(out: Path, workers: int) -> ImproveOptions:
     Raises:
         UsageError: there is none.
     """
-    values = read_options(out, COMMAND, '--resume')
+    values = read_options(out, COMMAND, 'resume')
     options = ImproveOptions(**{**values, 'add': tuple(values['add']), 'workers': workers})
     start = out / START
     return replace(options, start=str(start)) if start.exists() else options

@@ -108,8 +108,8 @@ def report_case_study(
         check_new(out)
         return write_study_report(read_config(config or shipped_config()), out, tables)
     if out is None:
-        raise UsageError('--report-only: name the case study with --out')
-    return write_study_report(read_study(out, '--report-only'), out)
+        raise UsageError('report_only: name the case study as out')
+    return write_study_report(read_study(out, 'report_only'), out)
 
 
 def write_study_report(

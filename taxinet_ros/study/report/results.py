@@ -219,7 +219,7 @@ def read_tables(config: StudyConfig, folder: Path) -> Results:
             card = weights_path(word).with_suffix('.json')
             networks[name] = _network(name, path, card, bags=False)
     if not networks:
-        raise UsageError(f'--tables {folder}: has no s_falsif_NETWORK_RUNS.parquet')
+        raise UsageError(f'tables {folder}: has no s_falsif_NETWORK_RUNS.parquet')
     names = [Path(word).stem for word in config.experiments]
     return Results(
         networks=networks, searches=_searches(config, folder),
@@ -283,13 +283,13 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
     runs = runs_of(table, path)
     if runs.uncounted:
         raise UsageError(
-            f'{path}: {runs.uncounted} of its runs follow one without a result; end the campaign '
-            'with --resume'
+            f'{path}: {runs.uncounted} of its runs follow one without a result; resume the '
+            'campaign to its end'
         )
     if runs.weighting is not Weighting.DRAWN:
         raise UsageError(
             f'{path}: its runs were chosen by a sampler, but a study needs scenes drawn at random; '
-            'evaluate with --sampler random'
+            'evaluate with sampler random'
         )
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
     ids = judged['run_id'].tolist() if bags else []

@@ -91,7 +91,7 @@ def scaled(config: StudyConfig, scale: float) -> StudyConfig:
         UsageError: the scale is out of range.
     """
     if not 0 < scale <= _LARGEST_SCALE:
-        raise UsageError(f'--scale {scale:g}: needs to be above 0, at most {_LARGEST_SCALE:g}')
+        raise UsageError(f'scale {scale:g}: needs to be above 0, at most {_LARGEST_SCALE:g}')
     if scale == 1:
         return config
 
@@ -152,7 +152,7 @@ def read_config(path: Path) -> StudyConfig:
     Raises:
         UsageError: a value is invalid; one line with the file, the key and the correction.
     """
-    shipped, own = read_yaml(shipped_config()), read_yaml(path, option='--config')
+    shipped, own = read_yaml(shipped_config()), read_yaml(path, option='config')
     config = StudyConfig(**{**_values(shipped_config(), shipped), **_values(path, own)})
     _check_seeds(Section(path, own), config)
     return config

@@ -89,7 +89,7 @@ def stages_until(found: Sequence[Stage], name: str) -> tuple[Stage, ...]:
     """
     names = [stage.name for stage in found]
     if name not in names:
-        raise UsageError(f'--until {name}: no such stage; known: {", ".join(names)}')
+        raise UsageError(f'until {name}: no such stage; known: {", ".join(names)}')
     return tuple(found[:names.index(name) + 1])
 
 

@@ -157,7 +157,7 @@ def read_options(out: Path, command: str, option: str) -> dict[str, Any]:
     found = read_record(path).get(OPTIONS, {}) if path.is_file() else {}
     if command not in found:
         raise UsageError(
-            f'{option}: {out}: no study of taxinet {command}; name the folder of one with --out'
+            f'{option}: {out}: no study of taxinet {command}; name the folder of one as out'
         )
     return dict(found[command])
 
@@ -176,7 +176,7 @@ def claim_study(record: Record, command: str, about: Mapping[str, Any]) -> None:
     before = record.entries.get(OPTIONS, {})
     if before.get(command, about) != about or (not before and record.entries.keys() - {STAGE}):
         raise UsageError(
-            f'--out {record.path.parent}: is about something else; choose another folder')
+            f'out {record.path.parent}: is about something else; choose another folder')
     record.put(OPTIONS, command, about)
 
 
@@ -288,7 +288,7 @@ class StudyRun:
     def __init__(
         self, out: Path, found: Sequence[Stage], *, record: Record, work: Work, workers: int,
         show: Callable[[str], None], folder: Path | None = None, logs: Path | None = None,
-        again: str = '--resume', numbers: Iterator[int] | None = None,
+        again: str = 'resuming', numbers: Iterator[int] | None = None,
         began: float | None = None,
     ) -> None:
         """Prepare the sitting; nothing is started yet.
@@ -350,7 +350,7 @@ class StudyRun:
             if stage.ready(self._out) and record.identity == stage.identity(self._out):
                 raise UsageError(
                     f'{self._out / stage.name}: was begun with {record.runs:,} runs, more than the '
-                    f'{stage.runs:,} asked for now; ask for as many, or name another --out'
+                    f'{stage.runs:,} asked for now; ask for as many, or name another folder'
                 )
 
     def _stage(self, number: str, stage: Stage, state: State) -> int:

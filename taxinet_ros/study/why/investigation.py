@@ -156,8 +156,7 @@ class Investigation:
             )
         if not (self.path / PARQUET_NAME).is_file():
             raise UsageError(
-                f'{self.path}: it has no {PARQUET_NAME}; wait for its end, or go on '
-                'with --resume'
+                f'{self.path}: it has no {PARQUET_NAME}; wait for its end, or resume it'
             )
         runs = read_runs(self.path)
         network = self.perception or str(facts.get('perception', ''))
@@ -448,7 +447,7 @@ class Investigation:
             raise UsageError(why)
         check_unchanged(
             'perception', network, lambda: check_perception(network), run.fingerprint,
-            'name its file with --perception',
+            'name its file as perception',
         )
         check_unchanged(
             'controller', run.controller, lambda: check_controller(run.controller, run.gains),

@@ -59,7 +59,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         if self.runs < LEAST_BUDGET:
-            raise UsageError(f'--budget {self.runs}: needs to be {LEAST_BUDGET} or more')
+            raise UsageError(f'budget {self.runs}: needs to be {LEAST_BUDGET} or more')
 
     @property
     def localized(self) -> int:
@@ -260,7 +260,7 @@ def why_no_experiment(settings: RunSettings, world: str) -> str:
     if settings.world != world:
         return f'an experiment has no world {settings.world}'
     if settings.judging.bounds or settings.judging.rates:
-        return 'an experiment has no assumptions of --bound or --rate, which the runs had'
+        return 'an experiment has no assumed bounds or rates, which the runs had'
     return ''
 
 

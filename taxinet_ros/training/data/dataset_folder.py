@@ -121,7 +121,7 @@ class DatasetOptions:
             known = ', '.join(SAMPLERS)
             raise UsageError(f'dataset: sampler {self.sampler!r} is unknown; known: {known}')
         if find_renderer(self.camera) is not None and self.varied:
-            raise UsageError(f'--varied: no effect with --camera {self.camera}; leave one out')
+            raise UsageError(f'varied: no effect with camera {self.camera}; leave one out')
 
     def request(self) -> dict[str, Any]:
         """Everything that the images depend on, to record and to compare when resuming.
@@ -172,8 +172,8 @@ def write_dataset(options: DatasetOptions, progress: Progress = no_progress) -> 
         rendered = _make(options, request, progress)
     except OSError as error:
         raise RecordError(
-            f'dataset: {options.out}: cannot be written ({error.strerror}); fix that and use '
-            '--resume'
+            f'dataset: {options.out}: cannot be written ({error.strerror}); fix that and '
+            'resume it'
         ) from error
     (options.out / NAME).unlink()
     return rendered
@@ -205,11 +205,11 @@ def _check_new(out: Path) -> None:
         if out.exists() and (not out.is_dir() or (
             {path.name for path in out.iterdir()} - (set() if begun else _EMPTY)
         )):
-            fix = 'use --resume, or choose another' if begun else 'choose another'
-            raise UsageError(f'dataset: --out {out}: exists and is not empty; {fix}')
+            fix = 'resume it, or choose another' if begun else 'choose another'
+            raise UsageError(f'dataset: out {out}: exists and is not empty; {fix}')
     except OSError as error:
         raise UsageError(
-            f'dataset: {out}: cannot be written ({error.strerror}); name another --out'
+            f'dataset: {out}: cannot be written ({error.strerror}); name another folder'
         ) from error
 
 
@@ -314,5 +314,5 @@ def _write_once(path: Path, data: bytes) -> None:
 def _differs_error(path: Path) -> UsageError:
     return UsageError(
         f'dataset: {path}: differs from what these options make and is not replaced; move it away '
-        'and use --resume'
+        'and resume it'
     )

@@ -65,19 +65,19 @@ def named_places(words: Sequence[str]) -> tuple[str, ...]:
         if numbered:
             split = range(int(numbered[1]), int(numbered[2]) + 1)
         if split is not None and not 0 < len(split) <= _MOST_PLACES:
-            raise UsageError(f'train: --place {word}: expected 1 to {_MOST_PLACES} places')
+            raise UsageError(f'train: place {word}: expected 1 to {_MOST_PLACES} places')
         found += [word] if split is None else [f'{PREFIX}{number}' for number in split]
     for word in found:
         if (number := word.removeprefix(PREFIX)) != word and number.isdecimal():
             for name in _KEPT_BACK:
                 if int(number) in SPLITS[name]:
                     raise UsageError(
-                        f'train: --place {word}: is of the {name} places '
+                        f'train: place {word}: is of the {name} places '
                         f'({PREFIX}{SPLITS[name][0]}-{SPLITS[name][-1]}), which no training may see'
                     )
     if len(set(found)) < len(found):
         twice = next(word for word in found if found.count(word) > 1)
-        raise UsageError(f'train: --place {twice}: is given twice; name it once')
+        raise UsageError(f'train: place {twice}: is given twice; name it once')
     return tuple(found)
 
 

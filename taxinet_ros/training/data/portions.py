@@ -175,7 +175,7 @@ def parse_portion(text: str, kind: Literal['program', 'runs']) -> Portion:
     Raises:
         UsageError: it is not of that form, or the count is out of range.
     """
-    option = '--add' if kind == 'program' else '--add-runs'
+    option = 'add' if kind == 'program' else 'add_runs'
     name, equals, number = text.rpartition('=')
     if not (equals and name and number.isdecimal()):
         what = 'PROGRAM' if kind == 'program' else 'CAMPAIGN'

@@ -35,13 +35,13 @@ def check_request(
     Raises:
         UsageError: it had not, by the name of the option.
     """
-    check_same_files(f'{command}: --resume: {folder}', begun, request)
+    check_same_files(f'{command}: resume: {folder}', begun, request)
     for name, value in plain(request).items():
         before = begun.get(name)
         if before != value:
             raise UsageError(
-                f'{command}: --resume: {folder} was begun with {name} {before}, not {value}; '
-                'repeat its options, or choose another --out'
+                f'{command}: resume: {folder} was begun with {name} {before}, not {value}; '
+                'repeat its options, or choose another out'
             )
 
 
@@ -65,8 +65,8 @@ class Unfinished:
         path = folder / NAME
         if resume and not path.is_file():
             raise UsageError(
-                f'{command}: --resume: {path}: no such file, so there is nothing to resume; leave '
-                '--resume out'
+                f'{command}: resume: {path}: no such file, so there is nothing to resume; leave '
+                'resume out'
             )
         try:
             if damaged := repair_record(path):
@@ -75,11 +75,11 @@ class Unfinished:
         except OSError as error:
             if error.errno in FULL_DISK:
                 raise RecordError(
-                    f'{command}: {folder}: cannot be written ({error.strerror}); fix that and use '
-                    '--resume'
+                    f'{command}: {folder}: cannot be written ({error.strerror}); fix that and '
+                    'resume it'
                 ) from error
             raise UsageError(
-                f'{command}: {folder}: cannot be written ({error.strerror}); name another --out'
+                f'{command}: {folder}: cannot be written ({error.strerror}); name another out'
             ) from error
         self._waiting: list[tuple[str, str, Any]] = []
         self._flushed_s = time.monotonic()
@@ -96,7 +96,7 @@ class Unfinished:
         elif (begun := entries.get(_REQUEST, {}).get('')) is not None:
             check_request(command, path.parent, begun, request)
         else:
-            raise UsageError(f'{command}: {path}: its request is lost; choose another --out')
+            raise UsageError(f'{command}: {path}: its request is lost; choose another out')
         repaired(self._record)
         self.made = {int(key): values for key, values in entries.get(_PICTURE, {}).items()}
 

@@ -67,7 +67,7 @@ def check_cluster(where: str) -> str:
     Raises:
         UsageError: it is none, or the file is no scheduler file.
     """
-    named, address = f'--cluster {where}', where
+    named, address = f'cluster {where}', where
     if where.startswith(LOCAL):
         count = where.removeprefix(LOCAL)
         if not (count.isascii() and count.isdigit() and 1 <= int(count) <= MOST_LOCAL):
@@ -113,7 +113,7 @@ def campaign_cluster(
                     prefix='.taxinet-', dir=parent, ignore_cleanup_errors=True
                 )))
             except OSError as error:
-                raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+                raise UsageError(f'out {out}: cannot be written: {error.strerror}') from error
         job = Job(
             campaign=f'taxinet-{uuid.uuid4().hex[:12]}', folder=Path.cwd(),
             bags=out / 'logs' / 'cluster' if campaign.bags else None,
@@ -145,7 +145,7 @@ def connection(where: str, tell: Tell) -> Iterator[Client]:
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise UsageError(
-            f"--cluster {where}: needs a package; pip install 'taxinet_ros[cluster]' ({error})"
+            f"cluster {where}: needs a package; pip install 'taxinet_ros[cluster]' ({error})"
         ) from error
     warnings.filterwarnings('ignore', module=r'distributed\.')  # such as of other versions
     # Of a busy machine; it names another module.
@@ -190,14 +190,14 @@ def _check_scheduler(where: str) -> None:
             there = thread.submit(asyncio.run, versions()).result()['packages']
     except Exception as error:  # whatever answers there may make Dask raise anything
         raise UsageError(
-            f'--cluster {where}: no Dask scheduler answers there, or it has other TLS settings '
+            f'cluster {where}: no Dask scheduler answers there, or it has other TLS settings '
             f'({_one_line(error)})'
         ) from error
     here = get_versions()['packages']
     for name in ('python', 'distributed'):
         if there[name] != here[name]:
             raise UsageError(
-                f'--cluster {where}: the scheduler has {name} {there[name]}, here it is '
+                f'cluster {where}: the scheduler has {name} {there[name]}, here it is '
                 f'{here[name]}; start it in the same environment as here'
             )
 
@@ -341,7 +341,7 @@ class ClusterPool:
                 break
             time.sleep(_POLL_S)
         if not self._fit:
-            raise UsageError(f'--cluster {self._where}: ' + (
+            raise UsageError(f'cluster {self._where}: ' + (
                 f'no worker is fit: {self._reasons}' if self._unfit else
                 f'has no workers; start some with dask worker {self._where}'
             ))
@@ -401,7 +401,7 @@ class ClusterPool:
     def _gone(self, what: str) -> InfraError:
         return InfraError(
             InfraKind.DIED, f'cluster {self._where}', -1,
-            f'{what}; all finished runs are recorded, continue with --resume',
+            f'{what}; resume it: all finished runs are recorded',
         )
 
     # Results -----------------------------------------------------------------------------------

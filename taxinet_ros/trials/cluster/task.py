@@ -89,7 +89,7 @@ def check_worker(
             raise UsageError(unfit)
         if probe is not None and not probe.exists():
             raise UsageError(
-                f'does not see {probe.parent}, where the bags go; use an --out that all machines '
+                f'does not see {probe.parent}, where the bags go; use a folder that all machines '
                 'share'
             )
         if any(there.get(name) != here.get(name) for name in NAMES):

@@ -270,7 +270,7 @@ class Odd:
         if total > MOST_COMBINATIONS:
             raise UsageError(
                 f'ODD {self.name}: {total:,} combinations of {strength} cells, more than '
-                f'{MOST_COMBINATIONS:,}; use fewer cells or a smaller --strength'
+                f'{MOST_COMBINATIONS:,}; use fewer cells or a smaller strength'
             )
         return {each: self._feasible(each) for each in sets}
 
@@ -337,7 +337,7 @@ def find_odd(word_or_path: str) -> Path:
         UsageError: it is neither; the known names are listed.
     """
     return find_document(
-        word_or_path, FOLDER, SUFFIX, f'--odd {word_or_path}: no such file, and no shipped ODD',
+        word_or_path, FOLDER, SUFFIX, f'odd {word_or_path}: no such file, and no shipped ODD',
     )
 
 

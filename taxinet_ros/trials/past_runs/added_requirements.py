@@ -57,7 +57,7 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
             another formula of that name.
     """
     if not is_campaign(folder):
-        raise UsageError(f'--add: {folder / RECORD_NAME}: no such file; not a campaign')
+        raise UsageError(f'add: {folder / RECORD_NAME}: no such file; not a campaign')
     content = read_campaign(folder)
     _opened(folder).close()
     own = dict(content.facts.get('specs', {}))
@@ -66,7 +66,7 @@ def addable(folder: Path, specs: Iterable[Spec]) -> list[Spec]:
         before = own.get(spec.name) or content.added.get(spec.name, spec.text)
         if before != spec.text:
             raise UsageError(
-                f'--add: in {folder} {spec.name} is {before}; choose another name, NAME=FORMULA'
+                f'add: in {folder} {spec.name} is {before}; choose another name, NAME=FORMULA'
             )
     return [spec for spec in chosen if spec.name not in own]
 

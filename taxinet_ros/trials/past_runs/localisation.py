@@ -93,9 +93,9 @@ def make_localize_options(
         UsageError: one line on the first error.
     """
     if not 1 <= workers <= MOST_WORKERS:
-        raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_WORKERS}')
+        raise UsageError(f'workers {workers}: needs to be within 1..{MOST_WORKERS}')
     if runs is not None and runs < 1:
-        raise UsageError(f'--runs {runs}: needs to be 1 or more')
+        raise UsageError(f'runs {runs}: needs to be 1 or more')
     found = open_failed_campaign(campaign)
     rows = spread_evenly(found.counterexamples, runs)
     periods_s = {row.period_ns / NS_PER_S for row in rows}
@@ -176,6 +176,6 @@ def _network(campaign: RecordedCampaign, given: str | None) -> str:
     word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
     check_unchanged(
         'perception', word, lambda: check_perception(word), first.fingerprint,
-        f'name the file that {campaign.folder} was run with: --perception FILE',
+        f'name the file that {campaign.folder} was run with as perception',
     )
     return word

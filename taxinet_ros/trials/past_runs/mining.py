@@ -71,7 +71,7 @@ def program_traces(
         if bag is None:
             raise UsageError(
                 f'{place}: has no bag, and the table has no values over time; run the campaign '
-                'again, with --images none if bags are too large'
+                'again, with images none if bags are too large'
             )
         try:
             recording = open_recording(bag)
@@ -82,7 +82,7 @@ def program_traces(
         if samples.stopped_early:
             raise UsageError(
                 f'{place}: was stopped early, so its end is not known; run the campaign again '
-                'without --stop-on'
+                'without stop_on'
             )
         if trouble := samples.trouble or '; '.join(samples.flaws.values()):
             raise UsageError(f'{place}: {trouble}')

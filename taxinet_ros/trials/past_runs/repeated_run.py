@@ -88,7 +88,7 @@ def perception_of(
         of = f' of sha256 {run.fingerprint[:12]}…' if run.fingerprint else ''
         kind = f'{word!r}{of}, not a shipped one' if word else 'not told'
         raise UsageError(
-            f"{run.request.run_id}: the run's own perception is {kind}; name one with --perception"
+            f"{run.request.run_id}: the run's own perception is {kind}; name one as perception"
         )
     return word, check_perception(word, graph=graph)
 
@@ -114,7 +114,7 @@ def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -
         of = f' of sha256 {run.controller_fingerprint[:12]}…' if run.controller_fingerprint else ''
         raise UsageError(
             f"{run.request.run_id}: the run's own controller is {run.controller!r}{of}; name one "
-            'with --controller'
+            'as controller'
         )
     return STEERING
 

@@ -168,7 +168,7 @@ def check_trials_folder(out: Path) -> None:
     """
     if out.is_dir() and not (out / RECORD_NAME).exists() and (names := sorted(out.iterdir())):
         raise UsageError(
-            f'--out {out}: contains something else ({names[0].name}); choose another folder'
+            f'out {out}: contains something else ({names[0].name}); choose another folder'
         )
 
 
@@ -200,12 +200,12 @@ class TrialRecord:
             damaged = repair_record(path)
             self._record = Record(path)
         except OSError as error:
-            raise UsageError(f'--out {out}: cannot be used: {error.strerror}') from error
+            raise UsageError(f'out {out}: cannot be used: {error.strerror}') from error
         if damaged:
             warn_once(damaged)
         self._pool: TrialPool | None = None
         try:
-            self._begin(f'--out {out}: {other}; choose another folder', settings)
+            self._begin(f'out {out}: {other}; choose another folder', settings)
             self.done = self._earlier()
         except BaseException:
             self._record.close()
@@ -236,7 +236,7 @@ class TrialRecord:
             except (LookupError, TypeError, ValueError) as error:
                 raise UsageError(
                     f'{self._record.path}: trial {key!r} is of another version ({error}); choose '
-                    'another --out'
+                    'another folder'
                 ) from error
             if trial.judged:
                 found[key] = trial

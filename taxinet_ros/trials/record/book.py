@@ -352,7 +352,7 @@ class CampaignBook:
             yield
         except OSError as error:
             where = error.filename or self._out
-            raise RecordError(f'{where}: {disk_words(error)}; continue with --resume') from error
+            raise RecordError(f'{where}: {disk_words(error)}; fix that and resume it') from error
 
 
 def check_resumable(out: Path) -> None:
@@ -367,11 +367,11 @@ def check_resumable(out: Path) -> None:
     there = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
     if not there:
         raise UsageError(
-            f'--resume: {path}: no such file, so there is nothing to resume; leave --resume out'
+            f'resume: {path}: no such file, so there is nothing to resume; leave resume out'
         )
     if not there <= _BEFORE_RUNS:
         what = 'is empty' if path.is_file() else 'no such file'
         raise UsageError(
-            f'--resume: {path}: {what}, so the earlier options are unknown; put it back, or '
-            'choose another --out'
+            f'resume: {path}: {what}, so the earlier options are unknown; put it back, or '
+            'choose another folder'
         )

@@ -74,7 +74,7 @@ def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> di
     if facts['timing'] != result.timing:
         raise UsageError(
             f'{out} was begun with {timing_words(facts["timing"])}, but the graph has '
-            f'{timing_words(result.timing)}; start the original one, or choose another --out'
+            f'{timing_words(result.timing)}; start the original one, or choose another folder'
         )
     # The same network under any name, or both the ground truth.
     name = 'perception_sha256' if facts['perception_sha256'] or result.fingerprint else 'perception'
@@ -82,7 +82,7 @@ def facts_of_graph(out: Path, facts: Mapping[str, Any], result: RunResult) -> di
         return {}
     raise UsageError(
         f'{out} was begun with perception {_shown(facts)}, but the graph has {_shown(found)}; '
-        'start the original one, or choose another --out'
+        'start the original one, or choose another folder'
     )
 
 
@@ -163,8 +163,8 @@ def check_same_campaign(
     """
     if content.rows and not content.facts:
         raise UsageError(
-            f'--resume: {out / RECORD_NAME}: has runs, but not what the campaign is; begin it '
-            'anew, with another --out'
+            f'resume: {out / RECORD_NAME}: has runs, but not what the campaign is; begin it '
+            'anew, in another folder'
         )
     if content.facts:
         _check_same(out, content.facts, {
@@ -176,14 +176,14 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
     now = plain(now)
     for name, command in _WRITTEN_BY.items():
         if name in now and name not in before:
-            raise UsageError(f'--resume: {out / RECORD_NAME}: not written by {command}')
+            raise UsageError(f'resume: {out / RECORD_NAME}: not written by {command}')
     _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
-    check_same_files(f'--resume: {out}', before, now)
+    check_same_files(f'resume: {out}', before, now)
     for name in dict.fromkeys((*now, ODD, OBJECTIVE)):
         if name not in _MAY_DIFFER and not same_fact(name, before.get(name), now.get(name)):
             raise UsageError(
-                f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
-                f'{short_json(now.get(name))}; repeat its options, or choose another --out'
+                f'resume: {out} was begun with {name} {short_json(before.get(name))}, not '
+                f'{short_json(now.get(name))}; repeat its options, or choose another folder'
             )
 
 
@@ -194,9 +194,9 @@ def _check_same_packages(
         one, other = before[kind], now[kind]
         if one != other and one['name'] == other['name']:
             raise UsageError(
-                f'--resume: {out} was begun with {package_words(kind, one)}, which is now of '
+                f'resume: {out} was begun with {package_words(kind, one)}, which is now of '
                 f'{other["distribution"]} {other["version"]} (sha256 {other["sha256"][:12]}…); put '
-                'the package back as it was, or name another --out'
+                'the package back as it was, or name another folder'
             )
 
 

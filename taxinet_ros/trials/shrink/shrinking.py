@@ -170,7 +170,7 @@ def make_shrinking(
         UsageError: one line on the first error.
     """
     if runs < LEAST_ASKED:
-        raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
+        raise UsageError(f'runs {runs}: needs to be {LEAST_ASKED} or more')
     run = find_run(path)
     if why := run.not_again:
         raise UsageError(
@@ -185,13 +185,13 @@ def make_shrinking(
         perception = run.perception
         check_unchanged(
             'perception', perception, lambda: check_perception(run.perception, graph=True),
-            run.fingerprint, 'say with --perception where it is, or to take it as it is',
+            run.fingerprint, 'name it as perception, at its new place or as it is',
         )
     if not controller:
         controller = run.controller
         check_unchanged(
             'controller', controller, lambda: check_controller(run.controller, graph=True),
-            run.controller_sha256, 'say with --controller what to steer with',
+            run.controller_sha256, 'name what to steer with as controller',
         )
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, out=out, images=images, resume=resume,
@@ -212,7 +212,7 @@ def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
     if interval is not None and interval.satisfied:
         raise UsageError(
             f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
-            'failed, or with --spec what it failed'
+            'failed, or a formula that it failed'
         )
 
 
@@ -309,9 +309,7 @@ def check_run(engine: Engine[Shrinking], found: Report) -> None:
     """
     if (row := engine.broken) is not None:
         often = '' if row.kind == AUDIT else 'twice '
-        detail = (
-            f'{row.detail or row.outcome} ({often}in run {row.run_id}; continue with --resume)'
-        )
+        detail = f'{row.detail or row.outcome} ({often}in run {row.run_id}; resume it)'
         raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
     if found.state.end is not End.NOT_REPRODUCED:
         return
@@ -426,7 +424,7 @@ def _rho(value: float | None) -> str:
 
 def _ended(report: Report) -> str:
     if report.state.end is End.NOMINAL_FAILS:
-        return 'the nominal scenario fails itself, so no parameter matters; see --nominal'
+        return 'the nominal scenario fails itself, so no parameter matters; give another'
     if report.state.end is End.SPENT:
-        return 'ended before it was minimal: --runs are spent; --resume with more goes on'
-    return 'ended before it was minimal; --resume goes on'
+        return 'ended before it was minimal: its runs are spent; resume it with more'
+    return 'ended before it was minimal; resume it'

@@ -180,7 +180,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         if 'aircraft' in chosen:  # in the run's own wind, as it may be moved first
             scenario_from_human({**drawn, 'aircraft': chosen['aircraft']})
     except UsageError as error:
-        raise UsageError(f'--nominal: {str(error).removeprefix("scenario: ")}') from None
+        raise UsageError(f'nominal: {str(error).removeprefix("scenario: ")}') from None
     wanted = nominal.to_human()
     wanted = {**{name: wanted[split_point(name)[0]] for name in original.points}, **wanted}
     parameters = tuple(
@@ -189,7 +189,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     )
     space = ShrinkSpace(original=original, nominal=nominal, parameters=parameters)
     if not space.moving:
-        raise UsageError('the run is nominal already: there is nothing to shrink; see --nominal')
+        raise UsageError('the run is nominal already: there is nothing to shrink; give another')
     return space
 
 
@@ -206,14 +206,14 @@ def _usual_distance_m(original: Scenario) -> float:
 
 
 def _chosen(settings: Iterable[str]) -> dict[str, str]:
-    values = split_options(settings, '--nominal')
+    values = split_options(settings, 'nominal')
     try:
         chosen = by_key(values)
     except UsageError as error:
-        raise UsageError(f'--nominal {str(error).removeprefix("scenario: ")}') from None
+        raise UsageError(f'nominal {str(error).removeprefix("scenario: ")}') from None
     for key in chosen:
         if split_point(key)[0] not in KEYS:
-            raise UsageError(f'--nominal {key}: unknown; known: {", ".join(KEYS)}')
+            raise UsageError(f'nominal {key}: unknown; known: {", ".join(KEYS)}')
     return chosen
 
 

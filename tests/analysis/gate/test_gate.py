@@ -171,14 +171,14 @@ def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
 @pytest.mark.parametrize(
     ('options', 'words'),
     [
-        ({'min_satisfaction': 86}, '--min-satisfaction 86: a share'),
-        ({'max_off_runway': -0.1}, '--max-off-runway -0.1: a share'),
-        ({'max_off_runway': math.nan}, '--max-off-runway nan'),
-        ({'min_satisfaction': 0.5, 'confidence': 95}, '--confidence 95: needs'),
-        ({'min_satisfaction': 0.5, 'max_infra': -1}, '--max-infra -1'),
+        ({'min_satisfaction': 86}, 'min_satisfaction 86: a share'),
+        ({'max_off_runway': -0.1}, 'max_off_runway -0.1: a share'),
+        ({'max_off_runway': math.nan}, 'max_off_runway nan'),
+        ({'min_satisfaction': 0.5, 'confidence': 95}, 'confidence 95: needs'),
+        ({'min_satisfaction': 0.5, 'max_infra': -1}, 'max_infra -1'),
         ({}, 'give a threshold'),
-        ({'margin': 1.5}, '--margin 1.5: a share'),
-        ({'margin': 0.1, 'look': Look.SEQUENTIAL}, '--baseline: not with --sequential'),
+        ({'margin': 1.5}, 'margin 1.5: a share'),
+        ({'margin': 0.1, 'look': Look.SEQUENTIAL}, 'baseline: not with sequential'),
     ],
 )
 def test_given_options_that_make_no_sense_then_one_line_says_so(options, words):
@@ -466,7 +466,7 @@ def test_given_a_sequential_gate_then_its_junit_has_the_criterion():
     ({'min_satisfaction': 1.0}, 'no number of runs can decide it'),
     ({'design': 0.8}, 'needs to be better than the threshold 0.9'),
     ({'design': 0.95, 'max_off_runway': 0.1}, 'with one threshold only'),
-    ({'design': 0.95, 'look': Look.ANY}, '--design: only with --sequential'),
+    ({'design': 0.95, 'look': Look.ANY}, 'design: only with sequential'),
 ])
 def test_given_a_sequential_gate_that_cannot_be_then_it_is_refused_by_name(changes, words):
     with pytest.raises(UsageError) as refused:

@@ -67,7 +67,7 @@ def test_given_another_formula_when_read_then_it_says_who_failed(tmp_path):
     frame['rho_other'] = np.where(frame['index'] < 7, -1.0, 1.0)
     runs = planted_runs(frame, tmp_path, 'other')
     assert (runs.spec, runs.rate().failures) == ('other', 7)
-    with pytest.raises(UsageError, match=r'--spec none: not judged in .*; known: phi, other'):
+    with pytest.raises(UsageError, match=r'spec none: not judged in .*; known: phi, other'):
         planted_runs(frame, tmp_path, 'none')
 
 

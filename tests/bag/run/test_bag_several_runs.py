@@ -81,7 +81,7 @@ def test_ros1_given_one_run_by_name_then_it_alone_is_judged(both, taxinet):
     assert taxinet('monitor', both, '--run', BAD.name)[0] == 1
     code, _, err = taxinet('monitor', both, '--run', 'x')
     assert (code, len(err.splitlines())) == (2, 1)
-    assert f'--run x: no such run in {both}; it holds {GOOD.name}, {BAD.name}' in err
+    assert f'run x: no such run in {both}; it holds {GOOD.name}, {BAD.name}' in err
 
 
 def test_ros1_given_interleaved_runs_then_what_names_no_run_is_not_guessed(tmp_path):

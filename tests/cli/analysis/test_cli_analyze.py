@@ -93,10 +93,10 @@ def test_t2_given_runs_that_a_sampler_chose_when_analysed_then_there_is_no_rate_
 
 @pytest.mark.parametrize(('words', 'complaint'), [
     (['nowhere'], 'nowhere/runs.parquet: no such table; is nowhere a campaign?'),
-    (['c', '--spec', 'other'], '--spec other: not judged in c; known: phi'),
+    (['c', '--spec', 'other'], 'spec other: not judged in c; known: phi'),
     (['c', '--alpha', '7'], '--alpha 7: not within 0.002..0.5'),
     (['c', '--out', 'c'],
-     '--out c: contains files other than those of an analysis; choose a new folder'),
+     'out c: contains files other than those of an analysis; choose a new folder'),
     (['c', '--baseline', 'stdout'], 'stdout/runs.parquet: no such table; is stdout a campaign?'),
 ])
 def test_given_bad_input_then_one_line_says_so(folder, monkeypatch, capsys, words, complaint):

@@ -76,7 +76,7 @@ def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kep
     assert 'truth on the same scenes' in (out / 'compare.html').read_text()
     code, _, err = taxinet(*words[:7], '5', *words[8:])
     assert (code, err) == (
-        2, 'taxinet: error: --out out: has runs of other scenes or settings; choose another '
+        2, 'taxinet: error: out out: has runs of other scenes or settings; choose another '
         'folder\n')
 
 

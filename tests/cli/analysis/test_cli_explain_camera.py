@@ -99,8 +99,8 @@ def test_given_no_camera_then_recorded_frames_are_used_and_the_line_says_how_to_
     assert found['recomputed']['equal'] is True
     assert (found['factors'], found['taken_again'], found['not_changed']) == ([], None, [])
     assert any(
-        'its pictures are of the camera flightgear, which is asked for others with --camera '
-        'flightgear' in one for one in found['sentences']
+        'its pictures are of the camera flightgear, which takes others if named as camera'
+        in one for one in found['sentences']
     ), found['sentences']
     assert 'Not available: its pictures are of' in (tmp_path / 'x' / 'explain.html').read_text()
 

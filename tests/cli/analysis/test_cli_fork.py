@@ -89,7 +89,7 @@ def test_given_a_run_that_nothing_saves_then_that_is_told_with_code_1(bag, tmp_p
     (['--at', '1', '--sweep', 'rain=0:10'], 'expected KEY=LOW:HIGH:STEP'),
     (['--at', '1', '--sweep', 'rain=0:10:0'], 'positive STEP'),
     (['--at', '1', '--sweep', 'fog=0:10:1'], "unknown key 'fog'"),
-    (['--at', '1', '--sweep', 'rain=0:10:5', '--set', 'rain=3'], 'is given by --set too'),
+    (['--at', '1', '--sweep', 'rain=0:10:5', '--set', 'rain=3'], 'is in the settings too'),
     (['--at', '1', '--state', 'x=1'], 'expected an offset once'),
     (['--at', '1', '--state', 'cte=far'], 'expected a number'),
     (['--at', '1', '--state', 'cte_m=nan'], 'expected a number'),

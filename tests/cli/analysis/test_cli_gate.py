@@ -128,7 +128,7 @@ def test_given_too_few_changes_then_it_is_unclear_and_none_of_80_pass(before, tm
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
-    ({'seed': 8}, '--baseline before: its seed is 7, here 8'),
+    ({'seed': 8}, 'baseline before: its seed is 7, here 8'),
     ({'settings': ('place=bikf_10',)}, 'its setting place is not set, here bikf_10'),
     ({'settings': ('cross_track=3',)}, 'its setting cross_track_m is not set, here 3'),
 ])
@@ -142,9 +142,9 @@ def test_given_other_scenes_than_the_baselines_then_it_is_refused_by_name(
 
 
 @pytest.mark.parametrize(('words', 'reason'), [
-    ('gate before', 'give a threshold: --min-satisfaction, --max-off-runway or --baseline'),
+    ('gate before', 'give a threshold: min_satisfaction, max_off_runway or baseline'),
     ('gate before --margin 0.1 --min-satisfaction 0.5', '--margin: only with --baseline'),
-    ('gate before --baseline before --sequential', '--baseline: not with --sequential'),
+    ('gate before --baseline before --sequential', 'baseline: not with sequential'),
     ('gate before --baseline before --out o', '--out: only where a network is driven'),
     ('gate before --min-satisfaction 0.5 --workers 1', '--workers: only where a network'),
     ('gate nobody --baseline before', "'nobody' is unknown"),

@@ -74,7 +74,7 @@ def test_given_runs_that_cannot_be_evaluated_then_one_line_says_why_and_what_to_
     cases = {
         (bare, 'always(cte <= A)'): f'{run}: has no bag, and the table has no values over time',
         (falsify(tmp_path / 'stopped', '--stop-on', 'violated'), 'always(cte <= A)'):
-            'was stopped early, so its end is not known; run the campaign again without --stop-on',
+            'was stopped early, so its end is not known; run the campaign again without stop_on',
         (campaign, 'always(cte * A <= 3)'): 'robustness is not monotone in A',
         (campaign, 'always(estimate_gap <= B)', '--share', '1'): '--share 1: needs to be between',
         (tmp_path / 'nothing', 'always(cte <= A)'): 'not a campaign',

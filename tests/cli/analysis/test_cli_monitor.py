@@ -301,10 +301,10 @@ def test_given_bounds_that_a_run_keeps_or_breaks_then_that_shows(whole, capsys):
 
 
 @pytest.mark.parametrize(('words', 'told'), [
-    (('--bound', 'cte=3'), "--bound 'cte=3': expected LOW:HIGH with LOW <= HIGH [m], e.g. cte="),
-    (('--rate', 'cta=3'), "--rate 'cta=3': unknown signal 'cta'; known: cte, he"),
+    (('--bound', 'cte=3'), "bounds 'cte=3': expected LOW:HIGH with LOW <= HIGH [m], e.g. cte="),
+    (('--rate', 'cta=3'), "rates 'cta=3': unknown signal 'cta'; known: cte, he"),
     (('--spec', 'phi_always', '--rate', 'he=1'),
-     '--rate he: has no effect: no requirement reads he'),
+     'rates he: has no effect: no requirement reads he'),
 ])
 def test_given_bad_assumptions_then_one_line_names_the_option(whole, capsys, words, told):
     code, _, err = call(capsys, whole, *words)

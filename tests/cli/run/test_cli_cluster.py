@@ -65,12 +65,12 @@ def test_given_python_then_it_has_the_cluster_too(here, tmp_path):
 
 
 @pytest.mark.parametrize(('words', 'named'), [
-    (['--cluster', 'local:2', '--workers', '2'], '--workers 2: not with --cluster'),
-    (['--cluster', 'nowhere.json'], '--cluster nowhere.json: No such file or directory'),
+    (['--cluster', 'local:2', '--workers', '2'], 'workers 2: not with a cluster'),
+    (['--cluster', 'nowhere.json'], 'cluster nowhere.json: No such file or directory'),
     (['--cluster', 'tcp://127.0.0.1'], 'expected tcp://HOST:PORT'),
     (['--cluster', 'local:1', '--perception', 'external'], 'a perception that you start yourself'),
-    (['--lag', '0'], '--lag 0: needs to be within 1..10000'),
-    (['--lag', '3', '--workers', '4'], '--workers 4: needs to be within 1..3'),
+    (['--lag', '0'], 'lag 0: needs to be within 1..10000'),
+    (['--lag', '3', '--workers', '4'], 'workers 4: needs to be within 1..3'),
 ])
 def test_given_what_does_not_go_together_then_it_is_refused_before_anything_is_begun(
     words, named, tmp_path

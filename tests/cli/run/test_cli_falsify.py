@@ -159,7 +159,7 @@ def test_given_an_interrupt_then_the_runs_end_in_order_and_the_rest_can_be_resum
 BAD = {
     'unknown sampler': (['--sampler', 'luck'], "sampler 'luck' is unknown; known: random"),
     'unknown option': (['--sampler-option', 'seed=1'], 'sampler ce: unknown option seed'),
-    'unknown rule': (['--until', 'bored'], '--until bored: expected failures=K'),
+    'unknown rule': (['--until', 'bored'], 'until bored: expected failures=K'),
     'resume of nothing': (['--resume', '--out', 'c'], 'nothing to resume'),
 }
 

@@ -88,10 +88,10 @@ def test_r5_given_free_runs_then_a_search_or_a_localisation_of_them_is_refused(f
 
 
 @pytest.mark.parametrize(('words', 'says'), [
-    ({'real_time_factor': '2'}, '--real-time-factor: has no effect without --free'),
-    ({'free': True, 'latency': ['perception=0.1']}, '--latency perception=0.1: not with --free'),
-    ({'free': True, 'real_time_factor': '0.01'}, '--real-time-factor 0.01: needs to be within'),
-    ({'free': True, 'stop_on': 'violated'}, '--stop-on violated: not with --free'),
+    ({'real_time_factor': '2'}, 'real_time_factor: has an effect on a free run only'),
+    ({'free': True, 'latency': ['perception=0.1']}, 'latency perception=0.1: not in a free run'),
+    ({'free': True, 'real_time_factor': '0.01'}, 'real_time_factor 0.01: needs to be within'),
+    ({'free': True, 'stop_on': 'violated'}, 'stop_on violated: not in a free run'),
 ])
 def test_r5_given_words_that_have_no_effect_together_then_one_line_says_so(tmp_path, words, says):
     with pytest.raises(UsageError) as raised:

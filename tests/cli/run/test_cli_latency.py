@@ -80,7 +80,7 @@ def test_r5_given_a_run_with_latency_when_run_again_then_it_is_the_same_to_the_b
 def test_r5_given_a_latency_that_cannot_be_then_one_line_says_so(tmp_path):
     with pytest.raises(UsageError, match=r'^--from: --latency is taken from the bag$'):
         check_options(['bag', 'latency'])
-    with pytest.raises(UsageError, match=r'^--latency camera=1: expected NAME=LATENCY'):
+    with pytest.raises(UsageError, match=r'^latency camera=1: expected NAME=LATENCY'):
         make_options(program='nominal', runs=1, seed=0, perception='truth', settings=(), specs=(),
                      out=tmp_path / 'never', processes=False, latency=['camera=1'])
 

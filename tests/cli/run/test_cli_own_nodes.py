@@ -163,7 +163,7 @@ def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, ca
     (('run', '--from', 'n/nominal-s0-00000'),
      "own perception is 'bright paint', not a shipped one"),
     (('run', '--from', 'n/nominal-s0-00000', '--perception', 'truth'),
-     "own controller is 'proportional'; name one with --controller"),
+     "own controller is 'proportional'; name one as controller"),
     (('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller'),
      "own controller is 'python' of sha256"),
     (('explain', 'n/nominal-s0-00000'), "own perception is 'bright paint', not a shipped one"),
@@ -173,7 +173,7 @@ def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, ca
     (('run', 'nominal', '--perception-cmd', 'no_such_program'),
      'perception: no_such_program: no such program'),
     (('run', 'nominal', '--controller', 'mine.py:steer', '--set', 'steering.heading_gain=1'),
-     '--set steering.heading_gain: gains apply only'),
+     'steering.heading_gain: gains apply only'),
 ])
 def test_given_what_cannot_be_done_with_them_then_one_line_says_what_is_needed(
     folder, words, says,

@@ -108,7 +108,7 @@ def test_given_a_folder_with_something_in_it_then_it_is_left_alone(tmp_path):
                                 'choose a new folder\n')
     assert [file.name for file in tmp_path.iterdir()] == ['notes.txt']
     done = taxinet('falsify', 'nominal', '--out', str(tmp_path))
-    assert done.stderr.endswith('choose a new folder, or go on with --resume\n')
+    assert done.stderr.endswith('choose a new folder, or resume it\n')
 
 
 def test_given_an_interrupt_then_the_run_ends_in_order_and_its_bag_is_whole(tmp_path):

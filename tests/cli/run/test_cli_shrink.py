@@ -86,7 +86,7 @@ def test_given_a_cluster_then_the_shrunk_scenario_is_the_same(folder):
         cwd=folder,
     )
     assert refused.returncode == 2
-    assert '--workers 2: not with --cluster' in refused.stderr
+    assert 'workers 2: not with a cluster' in refused.stderr
     assert not (folder / 'x').exists()
 
 
@@ -107,7 +107,7 @@ def test_given_an_interrupt_when_resumed_then_it_ends_as_if_there_had_been_none(
         process.send_signal(signal.SIGINT)
         stdout, _ = process.communicate()
     assert process.returncode == 130
-    assert 'ended before it was minimal; --resume goes on' in stdout
+    assert 'ended before it was minimal; resume it' in stdout
     done = taxinet(*words, '--resume', '--quiet', cwd=folder)
     assert (done.returncode, done.stderr) == (0, '')
     one, other = (

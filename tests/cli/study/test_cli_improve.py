@@ -54,11 +54,11 @@ def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(t
 @pytest.mark.parametrize(('words', 'reason'), [
     (('nowhere',), 'known: '),
     (('--start', 'none.safetensors'), 'weights: none.safetensors: no such file'),
-    (('--budget', '12', '--rounds', '9'), 'improve: --budget 12 leaves 0 runs'),
-    (('--add', 'crossing'), "--add 'crossing': not PROGRAM=COUNT"),
+    (('--budget', '12', '--rounds', '9'), 'improve: budget 12 leaves 0 runs'),
+    (('--add', 'crossing'), "add 'crossing': not PROGRAM=COUNT"),
     (('--resume',), '--resume: name the folder to continue with --out'),
-    (('--resume', '--out', 'none'), '--resume: none: no study of taxinet improve'),
-    (('--out', 'here'), '--out here: already exists'),
+    (('--resume', '--out', 'none'), 'resume: none: no study of taxinet improve'),
+    (('--out', 'here'), 'out here: already exists'),
 ])
 def test_given_bad_input_then_one_line_and_exit_code_2(words, reason, taxinet, tmp_path):
     (tmp_path / 'here').mkdir()

@@ -156,7 +156,7 @@ def test_given_weights_that_are_gone_then_the_verdict_is_unclear_and_says_which(
     verdict = judge(found)
     assert verdict.fault is Fault.UNCLEAR
     assert "the run's perception 'weights' (sha256 " in verdict.sentences[0]
-    assert 'name its file with --perception' in verdict.sentences[0]
+    assert 'name its file as perception' in verdict.sentences[0]
     assert found.troubles['explain'] == found.troubles['localize']
 
 

@@ -31,7 +31,7 @@ def test_given_a_network_then_it_is_converted_beside_its_description_and_sees_a_
 @pytest.mark.parametrize(('words', 'told'), [
     (('tinytaxinet', '--out', 'net.bin'), '--out net.bin: networks are .onnx files'),
     (('tinytaxinet', '--out', 'no/net.onnx'), 'no such folder: no'),
-    (('tiny', '--out', 'net.onnx'), '--description tiny: neither tinytaxinet nor a readable file'),
+    (('tiny', '--out', 'net.onnx'), 'description tiny: neither tinytaxinet nor a readable file'),
     (('tinytaxinet', '--out', 'net.onnx'), 'nnet: net.nnet: cannot be read'),
 ])
 def test_given_a_mistake_then_one_line_and_nothing_is_written(words, told, taxinet, tmp_path):

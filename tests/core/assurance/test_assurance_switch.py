@@ -156,11 +156,11 @@ def test_given_a_monitor_that_returns_no_number_then_the_run_ends_with_its_line(
 
 
 @pytest.mark.parametrize(('given', 'said'), [
-    (('steering', None, 'stop'), '--fallback stop: no effect without --monitor'),
-    (('steering', 'original', 'jump'), '--fallback jump: unknown; known: stop, slow, second'),
-    (('steering', 'original', 'second:'), '--fallback second:: unknown'),
-    (('cmd:mine', 'original', None), '--monitor original: the switch is in our controller node'),
-    (('external', 'original', None), '--controller external is another node'),
+    (('steering', None, 'stop'), 'fallback stop: no effect without a monitor'),
+    (('steering', 'original', 'jump'), 'fallback jump: unknown; known: stop, slow, second'),
+    (('steering', 'original', 'second:'), 'fallback second:: unknown'),
+    (('cmd:mine', 'original', None), 'monitor original: the switch is in our controller node'),
+    (('external', 'original', None), 'controller external is another node'),
     (('steering+original+stop', 'original', None), 'names one already'),
     (('steering', 'a+b', None), r'\+ is not allowed'),
 ])

@@ -116,7 +116,7 @@ def test_given_rates_when_read_then_the_monitor_takes_them() -> None:
 @pytest.mark.parametrize(
     ('parse', 'texts', 'message'),
     [
-        (parse_bounds, ['cte'], "bound 'cte': expected SIGNAL=..., e.g. cte=-25:25"),
+        (parse_bounds, ['cte'], "bounds 'cte': expected SIGNAL=..., e.g. cte=-25:25"),
         (parse_bounds, ['lateral=0:1'], "unknown signal 'lateral'; known: cte"),
         (parse_bounds, ['cte=0:1', 'cte=0:2'], 'cte has one already'),
         (parse_bounds, ['cte=25'],
@@ -126,7 +126,7 @@ def test_given_rates_when_read_then_the_monitor_takes_them() -> None:
         (parse_bounds, ['cte=nan:1'], 'expected LOW:HIGH'),
         (parse_bounds, ['cte=inf:inf'], 'expected LOW:HIGH'),
         (parse_bounds, ['he=0:1:2'], r'\[rad\], e.g. he='),
-        (parse_rates, ['cte'], "rate 'cte': expected SIGNAL=..., e.g. cte=3"),
+        (parse_rates, ['cte'], "rates 'cte': expected SIGNAL=..., e.g. cte=3"),
         (parse_rates, ['cte=-1'], r'expected a number >= 0 \[m per s\], e.g. cte=3'),
         (parse_rates, ['cte=inf'], 'expected a number'),
         (parse_rates, ['cte=fast'], 'expected a number'),
@@ -146,6 +146,6 @@ def test_given_signals_of_another_robot_then_those_are_known_and_ours_are_not():
     assert found.about({'yaw'}) == Assumptions(rates={'yaw': 0.5})
     with pytest.raises(UsageError) as caught:
         parse_assumptions(['cte=0:1'], [], signals=['depth', 'yaw'])
-    assert str(caught.value) == "bound 'cte=0:1': unknown signal 'cte'; known: depth, yaw"
-    with pytest.raises(UsageError, match=r'rate .yaw=-1.: expected a number >= 0, e\.g\. yaw=3'):
+    assert str(caught.value) == "bounds 'cte=0:1': unknown signal 'cte'; known: depth, yaw"
+    with pytest.raises(UsageError, match=r'rates .yaw=-1.: expected a number >= 0, e\.g\. yaw=3'):
         parse_assumptions([], ['yaw=-1'], signals=['depth', 'yaw'])

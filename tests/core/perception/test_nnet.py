@@ -186,7 +186,7 @@ def test_given_a_description_of_another_network_then_the_line_says_what_differs(
     wrong = sample((6, 4, 3)).text().encode()
     with pytest.raises(UsageError, match=r'outputs has 2 entries, but net\.nnet gives 3 numbers'):
         converted(FILE, wrong, Path('net.onnx'), small_description(), Path('small.yaml'))
-    with pytest.raises(UsageError, match='--description tiny: neither tinytaxinet nor a readable'):
+    with pytest.raises(UsageError, match='description tiny: neither tinytaxinet nor a readable'):
         description_of('tiny')
     assert list(DESCRIPTIONS) == ['tinytaxinet']
 

@@ -37,5 +37,5 @@ def test_given_records_and_messages_of_before_there_was_a_choice_then_runs_go_to
 
 
 def test_given_an_unknown_rule_to_stop_then_it_is_refused_by_name():
-    with pytest.raises(UsageError, match='--stop-on sometimes: unknown; known: never, violated'):
+    with pytest.raises(UsageError, match='stop_on sometimes: unknown; known: never, violated'):
         Judging.from_facts({'stop_on': 'sometimes'})

@@ -40,7 +40,7 @@ def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, t
     taxinet('evidence', 'write', 'found', '--out', 'evidence')
     code, out, err = taxinet('evidence', 'verify', 'evidence', '--sample', '0')
     assert (code, err) == (0, '')
-    assert 'note    no run was driven again, as asked by --sample 0' in out
+    assert 'note    no run was driven again, as asked by sample 0' in out
     assert out.rstrip().endswith('all holds')
     code, out, _ = taxinet('evidence', 'verify', 'evidence', '--json')
     assert code == 3  # without bags no run can be driven again
@@ -55,8 +55,8 @@ def test_given_evidence_then_verify_says_what_holds_and_what_does_not(taxinet, t
 
 
 @pytest.mark.parametrize(('words', 'complaint'), [
-    (['write', 'found', '--out', 'found'], '--out found: already exists'),
-    (['write', 'found', '--out', 'e', '--claim', 'all'], '--claim all: expected a share'),
+    (['write', 'found', '--out', 'found'], 'out found: already exists'),
+    (['write', 'found', '--out', 'e', '--claim', 'all'], 'claim all: expected a share'),
     (['write', 'found', '--out', 'e', '--claim', '100%'], 'no number of runs shows 100 %'),
 ])
 def test_given_wrong_words_then_one_line_and_code_2(taxinet, tmp_path, words, complaint):

@@ -253,7 +253,7 @@ def test_given_a_lens_too_sharp_for_the_window_when_a_run_begins_then_the_line_t
     wing = find_camera('wing')
     lens = lens_of(wing, 480, 288)
     assert 1.0 <= lens.focal_px / max(wing.focal_px) < 1.05
-    with pytest.raises(UsageError, match=r'for camera wing; start it with --size 3\d\dx2\d\d'):
+    with pytest.raises(UsageError, match=r'for camera wing; start it with a size of 3\d\dx2\d\d'):
         lens_of(wing, 240, 144)
 
 

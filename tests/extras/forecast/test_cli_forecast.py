@@ -179,7 +179,7 @@ def test_given_another_sampler_then_its_runs_are_outside(folders, forecast, othe
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
-    ({'every_s': 0.25}, '--every 0.25: needs to be a multiple of 0.1 s'),
+    ({'every_s': 0.25}, 'every 0.25: needs to be a multiple of 0.1 s'),
     ({'spec': 'far'}, 'no final robustness of far'),
 ])
 def test_given_what_cannot_be_calibrated_then_it_is_refused_by_name(folders, changes, words):
@@ -194,7 +194,7 @@ def test_given_a_campaign_that_its_results_ended_then_it_cannot_calibrate(folder
         campaign.content, rows=campaign.rows[:10],
         facts={**campaign.facts, 'until': ['failures=3']},
     ))
-    with pytest.raises(UsageError, match='may have ended by --until failures=3'):
+    with pytest.raises(UsageError, match='may have ended by the rule failures=3'):
         calibrate(stopped)
 
 

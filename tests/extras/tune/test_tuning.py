@@ -103,7 +103,7 @@ def test_given_a_known_optimum_then_the_proposals_find_it():
 def test_given_a_range_that_cannot_be_then_it_is_refused_by_name(text, words):
     with pytest.raises(UsageError) as refused:
         varied_gains([text])
-    assert str(refused.value).startswith(f'--vary {text}: ')
+    assert str(refused.value).startswith(f'vary {text}: ')
     assert words in str(refused.value)
 
 

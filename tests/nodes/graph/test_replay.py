@@ -73,7 +73,7 @@ def test_given_a_node_that_falls_silent_then_that_is_told(monkeypatch):
 
 
 def test_given_a_node_that_nothing_can_be_replayed_into_then_the_known_ones_are_listed():
-    with pytest.raises(UsageError, match=r'--into recorder: .*perception, steering_controller'):
+    with pytest.raises(UsageError, match=r'into recorder: .*perception, steering_controller'):
         columns(TRUTH, 'recorder')
 
 
@@ -89,5 +89,5 @@ def test_given_a_function_that_asks_for_sensors_then_a_replay_is_refused_by_name
     recording = open_recording(GOLDEN / 'truth-nominal')
     words = {'perception': 'truth', 'controller': 'steering'}
     words['perception' if target == 'perception' else 'controller'] = f'{tmp_path}/mine.py:mine'
-    with pytest.raises(UsageError, match=f'--into {target}: its function has a parameter sensors'):
+    with pytest.raises(UsageError, match=f'into {target}: its function has a parameter sensors'):
         replay(recording, recording.run, target=target, **words)

@@ -133,13 +133,13 @@ def test_paper_given_tables_then_the_command_reports_them(
     lines = report_case_study(Path('new'), tables=ROOT / 'bags')
     assert any(line.startswith('late_morning: Not as in the paper (p ') for line in lines)
     assert (tmp_path / 'new' / 'report' / 'case_study.json').is_file()
-    with pytest.raises(UsageError, match='--out new: already exists'):
+    with pytest.raises(UsageError, match='out new: already exists'):
         report_case_study(Path('new'), tables=ROOT / 'bags')
 
 
 def test_paper_given_a_folder_without_tables_then_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match=r'--tables empty: has no s_falsif_NETWORK_RUNS\.parquet'):
+    with pytest.raises(UsageError, match=r'tables empty: has no s_falsif_NETWORK_RUNS\.parquet'):
         report_case_study(Path('new'), tables=Path('empty'))
     assert list(tmp_path.iterdir()) == []
 
@@ -147,7 +147,7 @@ def test_paper_given_a_folder_without_tables_then_nothing_is_written(tmp_path, m
 def test_paper_given_a_table_that_a_sampler_chose_then_it_is_no_evaluation(tmp_path):
     source = ROOT / 'bags' / 'learn-ce-2' / 'runs.parquet'
     (tmp_path / 's_falsif_generic_9.parquet').write_bytes(source.read_bytes())
-    with pytest.raises(UsageError, match=r'were chosen by a sampler, .* with --sampler ra'):
+    with pytest.raises(UsageError, match=r'were chosen by a sampler, .* with sampler ra'):
         read_tables(read_config(shipped_config()), tmp_path)
 
 

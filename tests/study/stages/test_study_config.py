@@ -96,7 +96,7 @@ def test_given_a_mistake_then_one_line_names_file_key_and_how_to_fix_it(
 
 
 def test_given_no_such_file_then_the_option_is_named(tmp_path):
-    with pytest.raises(UsageError, match=r'--config .*: cannot be read: No such file'):
+    with pytest.raises(UsageError, match=r'config .*: cannot be read: No such file'):
         read_config(tmp_path / 'gone.yaml')
 
 
@@ -117,7 +117,7 @@ def test_given_scales_then_epochs_are_all_there_from_a_tenth_on():
 
 @pytest.mark.parametrize('scale', [0.0, -1.0, 101.0, float('nan')])
 def test_given_no_scale_at_all_then_it_is_refused(scale):
-    with pytest.raises(UsageError, match=r'--scale .*: needs to be above 0'):
+    with pytest.raises(UsageError, match=r'scale .*: needs to be above 0'):
         scaled(SHIPPED, scale)
 
 
@@ -131,8 +131,8 @@ def test_given_a_study_that_was_begun_then_its_numbers_come_back(tmp_path):
     small = scaled(SHIPPED, 0.02)
     with open_study(tmp_path, print) as record:
         record.put(OPTIONS, 'case-study', dataclasses.asdict(small))
-    assert typed(StudyConfig, read_options(tmp_path, 'case-study', '--resume')) == small
+    assert typed(StudyConfig, read_options(tmp_path, 'case-study', 'resume')) == small
     for folder, command in ((tmp_path, 'improve'), (tmp_path / 'elsewhere', 'case-study')):
-        refusal = f'--report-only: {folder}: no study of taxinet {command}'
+        refusal = f'report_only: {folder}: no study of taxinet {command}'
         with pytest.raises(UsageError, match=refusal):
-            read_options(folder, command, '--report-only')
+            read_options(folder, command, 'report_only')

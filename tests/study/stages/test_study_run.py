@@ -144,7 +144,7 @@ def test_given_a_stage_that_is_refused_then_the_study_stops_and_goes_on_later(fi
     with pytest.raises(UsageError, match=r'^analyze-original: out of luck$'):
         run_study(out, lines=lines)
     assert len(asked(out)) == 1
-    assert lines[-1] == 'stopped at analyze-original; once it is fixed, --resume goes on'
+    assert lines[-1] == 'stopped at analyze-original; once it is fixed, resuming goes on'
     (out / 'fail.txt').unlink()
     assert run_study(out)[0] == 0
     assert [line.split()[0] for line in asked(out)] == ['analyze', 'localize']
@@ -158,7 +158,7 @@ def test_given_a_stage_that_leaves_nothing_behind_then_the_study_stops(
 ):
     ended, lines = run_study(tmp_path / 'study', work=lambda stage, resume: code)
     assert (ended, read_stages(tmp_path / 'study')['train-original'].key) == (ends_with, '')
-    assert lines[-1] == f'stopped at train-original: {why}; once it is fixed, --resume goes on'
+    assert lines[-1] == f'stopped at train-original: {why}; once it is fixed, resuming goes on'
 
 
 def test_given_an_original_without_failures_then_nobody_is_asked_whose_fault_they_are(
@@ -212,7 +212,7 @@ def test_given_a_study_when_interrupted_or_killed_then_its_stage_is_resumed(
         printed, _ = study.communicate()
     killed = number == signal.SIGKILL
     assert study.returncode == (-9 if killed else 130)
-    last = 'interrupted in evaluate-generic; --resume goes on'
+    last = 'interrupted in evaluate-generic; resuming goes on'
     assert killed or printed.splitlines()[-1] == last
     records = read_stages(out)
     assert (records['evaluate-generic'].key, records['evaluate-generic'].begun) == ('', killed)
@@ -235,7 +235,7 @@ def test_given_an_interrupt_that_comes_as_a_stage_ends_then_the_next_one_is_not_
     received = iter([0, 1])
     monkeypatch.setattr('taxinet_ros.study.stages.run.interrupts_received', lambda: next(received))
     code, lines = run_study(out)
-    assert (code, lines[-1]) == (130, 'interrupted after evaluate-generic; --resume goes on')
+    assert (code, lines[-1]) == (130, 'interrupted after evaluate-generic; resuming goes on')
     assert len(asked(out)) == 1
     assert read_stages(out)['evaluate-generic'].key
 
@@ -305,7 +305,7 @@ def test_f1_given_a_full_disk_at_the_first_file_then_the_error_names_it(tmp_path
         with pytest.raises(OSError, match='No space left'):
             case_study(None, out=out, scale=0.005)
     monkeypatch.setattr(StudyRun, 'run', lambda run: None)
-    with pytest.raises(UsageError, match=r'--resume: .*: no study of taxinet case-study'):
+    with pytest.raises(UsageError, match=r'resume: .*: no study of taxinet case-study'):
         case_study(None, out=out, resume=True)
     assert case_study(None, out=tmp_path / 'other', scale=0.005) == 0
 

@@ -36,7 +36,7 @@ def test_all_stages_together_make_about_as_many_runs_as_asked(runs, arms):
 
 
 def test_too_small_a_budget_is_refused():
-    with pytest.raises(UsageError, match=f'--budget 5: needs to be {LEAST_BUDGET} or more'):
+    with pytest.raises(UsageError, match=f'budget 5: needs to be {LEAST_BUDGET} or more'):
         Budget(runs=5)
 
 

@@ -220,7 +220,7 @@ def test_given_a_strange_file_among_the_images_when_resumed_then_it_is_refused_a
 @pytest.mark.parametrize(
     ('change', 'reason'),
     [
-        ({'resume': False}, 'use --resume'),
+        ({'resume': False}, 'resume it'),
         ({'seed': 5}, 'begun with seed 4, not 5'),
         ({'count': 7}, 'begun with count 6, not 7'),
         ({'varied': True}, 'begun with varied False, not True'),
@@ -250,7 +250,7 @@ def test_given_a_record_that_lost_its_request_when_resumed_then_it_is_refused(
     with contextlib.closing(sqlite3.connect(out / NAME)) as file, file:
         file.execute('UPDATE entries SET value = "{}" WHERE kind = "request"')
     for _ in range(2):
-        with pytest.raises(UsageError, match='its request is lost; choose another --out'):
+        with pytest.raises(UsageError, match='its request is lost; choose another out'):
             write_dataset(options(out, resume=True))
 
 

@@ -116,13 +116,13 @@ def test_given_a_word_and_a_count_then_they_are_taken_apart():
 
 @pytest.mark.parametrize('text', ['crossing', '=3', 'crossing=', 'crossing=-1', 'crossing=many'])
 def test_given_no_portion_then_the_message_shows_one(text):
-    with pytest.raises(UsageError, match=r'--add .*PROGRAM=COUNT, such as crossing=2400'):
+    with pytest.raises(UsageError, match=r'add .*PROGRAM=COUNT, such as crossing=2400'):
         parse_portion(text, 'program')
 
 
 @pytest.mark.parametrize('count', ['0', '1000001'])
 def test_given_a_count_out_of_range_then_it_is_refused(count):
-    with pytest.raises(UsageError, match=r'--add-runs .*outside 1\.\.1000000'):
+    with pytest.raises(UsageError, match=r'add_runs .*outside 1\.\.1000000'):
         parse_portion(f'folder={count}', 'runs')
 
 

@@ -202,7 +202,7 @@ def test_given_a_scheduler_that_dies_then_the_campaign_ends_and_another_cluster_
     out = tmp_path / 'there'
     with DaskProcesses(tmp_path / 'dask') as processes:
         processes.add_worker()
-        with pytest.raises(InfraError, match=r'cluster tcp.* lost .*continue with --resume'):
+        with pytest.raises(InfraError, match=r'cluster tcp.* lost .*; resume it: all'):
             there(
                 processes.address, out, [], {8: lambda search: kill(processes.scheduler)},
                 sampler='halton',

@@ -185,7 +185,7 @@ def test_given_no_address_of_a_cluster_then_it_is_refused(
     monkeypatch.chdir(tmp_path)
     if content is not None:
         Path(where).write_text(content)
-    with pytest.raises(UsageError, match=rf'--cluster {where}.*{named}'):
+    with pytest.raises(UsageError, match=rf'cluster {where}.*{named}'):
         check_cluster(where)
 
 
@@ -206,7 +206,7 @@ def test_given_an_address_without_a_scheduler_then_that_is_said_and_nothing_is_b
     monkeypatch.setattr(pool, '_CONNECT_S', 0.5)
     for port in strangers:
         where = f'tcp://127.0.0.1:{port}'
-        named = rf'--cluster {where}: no Dask scheduler answers there'
+        named = rf'cluster {where}: no Dask scheduler answers there'
         with (
             pytest.raises(UsageError, match=named),
             campaign_cluster(campaign(out=tmp_path / 'out'), where),

@@ -173,7 +173,7 @@ def test_given_a_mistake_then_one_line_names_the_file_and_the_key(
 
 
 def test_given_an_unknown_odd_then_the_shipped_ones_are_named():
-    with pytest.raises(UsageError, match='--odd mine: no such file, and no shipped ODD; known: '):
+    with pytest.raises(UsageError, match='odd mine: no such file, and no shipped ODD; known: '):
         find_odd('mine')
 
 

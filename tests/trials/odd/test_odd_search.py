@@ -104,7 +104,7 @@ def test_given_options_without_effect_then_they_are_refused_by_name(tmp_path, od
 
     assert make('coverage', 'strength=3').odd.name == 's_falsif'
     for sampler in (None, 'random'):
-        with pytest.raises(UsageError, match='--odd s_falsif: has an effect on --sampler coverage'):
+        with pytest.raises(UsageError, match='odd s_falsif: has an effect on sampler coverage'):
             make(sampler)
     with pytest.raises(UsageError, match='cells: the cells are those of the ODD'):
         make('coverage', 'cells=3')

@@ -294,9 +294,9 @@ def test_given_workers_that_end_one_after_the_other_then_the_command_does_too(
 
 @pytest.mark.parametrize(('campaign', 'changes', 'words'), [
     ('', {}, 'not a campaign: no campaign.db'),
-    ('c', {'runs': 0}, '--runs 0: needs to be 1 or more'),
-    ('c', {'workers': 0}, '--workers 0: needs to be within 1..64'),
-    ('c', {'words': ['turth']}, '--with turth: unknown'),
+    ('c', {'runs': 0}, 'runs 0: needs to be 1 or more'),
+    ('c', {'workers': 0}, 'workers 0: needs to be within 1..64'),
+    ('c', {'words': ['turth']}, 'substitution turth: unknown'),
     ('c', {'perception': 'original'}, 'and was without weights in the runs; name the file'),
 ])
 def test_given_bad_input_then_one_line_says_what_is_wrong(off, tmp_path, campaign, changes, words):

@@ -142,7 +142,7 @@ def test_given_another_campaign_than_was_begun_then_nothing_is_changed_and_both_
         run(book, 0)
     kept = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     for changes, words in (
-        ({'seed': 4}, 'was begun with seed 3, not 4; repeat its options, or choose another --out'),
+        ({'seed': 4}, 'was begun with seed 3, not 4; repeat its options, or choose another folder'),
         ({'sampler': 'ce'}, r'campaign\.db: not written by taxinet falsify'),
         ({'shrinks': 'run-0'}, r'campaign\.db: not written by taxinet shrink'),
     ):
@@ -180,7 +180,7 @@ def test_given_a_full_disk_then_the_campaign_ends_with_one_line_and_goes_on_when
     err = capsys.readouterr().err
     assert (code, err.count('\n')) == (4, 1)
     assert err.startswith(f'taxinet: error: {tmp_path}/c/campaign.db: [Errno ')
-    assert err.endswith('; continue with --resume\n')
+    assert err.endswith('; fix that and resume it\n')
     known = len(read_campaign(tmp_path / 'c').rows)
     assert known < 200
     assert (known > 0) == (most_bytes > 100_000)

@@ -189,7 +189,7 @@ def test_given_a_start_without_result_then_doctor_and_gate_name_the_run(campaign
     assert f'{lost.outcome}, tight {lost.rho["tight"]:+.3f})' in out
     write_campaign(campaign, rows, content.facts, begun=[lost.index], ended=False)
     code, out, _ = taxinet('doctor', campaign)
-    assert (code, f'{said}; --resume runs it again' in out) == (0, True)
+    assert (code, f'{said}; resuming runs it again' in out) == (0, True)
 
 
 # Tables and other files ------------------------------------------------------------------------

@@ -165,7 +165,7 @@ def test_given_few_runs_then_no_more_are_made_and_more_may_be_asked_for_on_resum
     found = make_report(few.proposer)
     assert found.state.end is End.SPENT
     assert len(few.rows) == 9
-    assert '--runs are spent' in result_lines(found, few.proposer, 1.0)[0]
+    assert 'its runs are spent' in result_lines(found, few.proposer, 1.0)[0]
     assert shrunk(drive(options(path, out, runs=200, resume=True))) == NEAREST
 
 
@@ -302,23 +302,23 @@ def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
 
 
 REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
-    'workers': ({}, {'workers': 9}, '--workers 9: needs to be within 1..8'),
-    'runs': ({}, {'runs': 1}, '--runs 1: needs to be 2 or more'),
-    'unknown key': ({}, {'nominal': ['duration=3']}, '--nominal duration_s: unknown; known: '),
-    'no key': ({}, {'nominal': ['rain']}, "--nominal 'rain': expected key=value"),
-    'impossible': ({}, {'nominal': ['rain=50']}, '--nominal: rain needs clouds broken'),
+    'workers': ({}, {'workers': 9}, 'workers 9: needs to be within 1..8'),
+    'runs': ({}, {'runs': 1}, 'runs 1: needs to be 2 or more'),
+    'unknown key': ({}, {'nominal': ['duration=3']}, 'nominal duration_s: unknown; known: '),
+    'no key': ({}, {'nominal': ['rain']}, "nominal 'rain': expected key=value"),
+    'impossible': ({}, {'nominal': ['rain=50']}, 'nominal: rain needs clouds broken'),
     'perception': ({}, {'perception': 'nobody'}, "perception: 'nobody' is unknown"),
-    'images': ({}, {'images': 'few'}, '--images few: unknown'),
-    'resume': ({}, {'resume': True, 'out': None}, '--resume: name the campaign to continue'),
+    'images': ({}, {'images': 'few'}, 'images few: unknown'),
+    'resume': ({}, {'resume': True, 'out': None}, 'resume: name the campaign to continue'),
     'passed': ({'scenario': Scenario()}, {}, 'satisfied phi_eventually with rho +0.30'),
     'broken': ({'outcome': Outcome.INFRA_ERROR}, {}, 'INFRA_ERROR, so it was never judged'),
     'rejected': (
         {'outcome': Outcome.REJECTED, 'distance_m': None}, {}, 'no scene was drawn'),
     'other weights': (
         {'fingerprint': 'ab' * 32}, {},
-        'truth is without weights here, and was sha256 abababababab… in the runs; say with '
-        '--perception where it is'),
-    'lost file': ({'perception': 'gone.onnx'}, {}, 'say with --perception where it is'),
+        'truth is without weights here, and was sha256 abababababab… in the runs; name it as '
+        'perception, at its new place or as it is'),
+    'lost file': ({'perception': 'gone.onnx'}, {}, 'name it as perception'),
 }
 
 
@@ -396,7 +396,7 @@ def test_given_a_run_that_was_pushed_then_what_pushed_it_goes_to_nominal_with_wh
     breeze = space.scenario((*top[:place], 1, *top[place + 1:]))
     assert breeze == dataclasses.replace(pushed, wind_speed_mps=0.5)
     assert 'wind_speed_mps' not in {one.key for one in make_shrink_space(WET).parameters}
-    with pytest.raises(UsageError, match='--nominal: aircraft c172p: wind_speed_mps'):
+    with pytest.raises(UsageError, match='nominal: aircraft c172p: wind_speed_mps'):
         make_shrink_space(dataclasses.replace(pushed, wind_speed_mps=9.0), ['aircraft=c172p'])
 
 
@@ -464,7 +464,7 @@ def test_given_a_run_with_faults_then_each_goes_to_none_and_the_last_takes_onset
     dirt = list(moving).index('lens_dirt_percent')
     clean = space.scenario((*top[:dirt], 0, *top[dirt + 1:]))
     assert clean == dataclasses.replace(failing, lens_dirt_fraction=0.0, fault_seed=0.0)
-    with pytest.raises(UsageError, match='--nominal: wind_speed_mps needs a number'):
+    with pytest.raises(UsageError, match='nominal: wind_speed_mps needs a number'):
         make_shrink_space(dataclasses.replace(WET, wind_speed_mps=3.0), ['wind_speed=strong'])
 
 

@@ -376,7 +376,7 @@ def description_of(word: str) -> tuple[bytes, Path]:
         return read_file(path, MAX_SIDECAR_BYTES), path
     except OSError as error:
         raise UsageError(
-            f'--description {word}: neither {", ".join(DESCRIPTIONS)} nor a readable file '
+            f'description {word}: neither {", ".join(DESCRIPTIONS)} nor a readable file '
             f'({error.strerror})'
         ) from error
 
