@@ -116,7 +116,7 @@ class Heartbeat:
     """Says on standard error, now and then, how far a command is whose output is not a terminal."""
 
     def __init__(self) -> None:
-        self._stage, self._first = '', 0
+        self._stage, self._first, self._open = '', 0, False
         self._began = self._told = time.monotonic()
         self._every_s = _heartbeat_s()
 
@@ -124,10 +124,11 @@ class Heartbeat:
         """Tell of ``done`` of ``total`` in a stage, unless something was told just before."""
         now = time.monotonic()
         if stage != self._stage:
-            self._stage, self._began, self._first = stage, now, done
-        if now - self._told < self._every_s:
+            self._stage, self._began, self._first, self._open = stage, now, done, False
+        # The end of what was told of is told too, or it would seem to have stopped.
+        if now - self._told < self._every_s and not (self._open and done == total):
             return
-        self._told = now
+        self._told, self._open = now, done != total
         left = ''
         if self._first < done < total:
             seconds = round((now - self._began) * (total - done) / (done - self._first))

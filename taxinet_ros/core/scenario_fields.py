@@ -397,7 +397,7 @@ GUST_SEED = ScenarioField(
     form='{:.0f}', low=0.0, high=2.0**32 - 1, si_unit='as a whole number', absent=0.0,
 )
 RUNWAY_STATE = ScenarioField(
-    key='runway_state', attribute='runway_state', title='runway friction', kind=Kind.WORD,
+    key='runway_state', attribute='runway_state', title='surface friction', kind=Kind.WORD,
     words=RUNWAY_STATES, absent='dry', varies=True,
 )
 SLOPE = ScenarioField(

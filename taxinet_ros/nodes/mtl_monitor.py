@@ -16,6 +16,7 @@ from taxinet_ros.bag.run.messages import robustness_cdr
 from taxinet_ros.core.clearance import Clearance
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step, rolling_on, signals
 from taxinet_ros.core.mtl import Reading, Spec
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.step_collector import FreeProgress, StepCollector
 from taxinet_ros.core.types import NO_ESTIMATE
@@ -81,7 +82,9 @@ class MtlMonitor(Participant):
     def figures(self) -> dict[str, object]:
         """See :class:`Participant`: the current interval of each formula."""
         judged = zip(self._specs, self._readings, strict=False)
-        return {spec.name: f'{now.lower:+.3f} ... {now.upper:+.3f}' for spec, now in judged}
+        return {
+            spec.name: ' ... '.join(rho_text(end, '.3f') for end in now) for spec, now in judged
+        }
 
     def clear(self) -> None:
         """See :class:`Participant`."""

@@ -12,9 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_folder, write_atomically
-from taxinet_ros.recordings.score import Score, row_pictures
+from taxinet_ros.recordings.score import Score, dataset_folders, row_pictures
 from taxinet_ros.training.data.dataset_folder import IMAGES
 from taxinet_ros.training.data.image_folder import FOREIGN_LABELS
 
@@ -40,14 +39,8 @@ def write_datasets(found: Score, out: Path) -> dict[str, int]:
         UsageError: a folder exists, or two recordings have one name.
         OSError: a file cannot be written.
     """
-    bags = {out / one.recording.path.stem: str(one.recording.path) for one in found.bags}
-    if len(bags) < len(found.bags):
-        raise UsageError(f'dataset {out}: two recordings have the same name; rename one')
-    for folder in bags:
-        if folder.exists():
-            raise UsageError(f'dataset {out}: {folder} exists; choose a new folder')
     counts, rig = {}, found.setup.rig
-    for folder, bag in bags.items():
+    for folder, bag in dataset_folders(out, [one.recording for one in found.bags]).items():
         make_folder(folder / IMAGES)
         rows, names, digests = thinned(found, bag), [], []
         for number, (_, pixels) in enumerate(row_pictures(found, rows)):

@@ -60,7 +60,7 @@ class Recording:
     """A bag that is read as often as needed.
 
     Attributes:
-        path: as given.
+        path: as given, or the only bag in that folder.
         counts: number of messages by topic.
         types: type by topic.
         note: one line about damage, up to which the bag is read, or ''.
@@ -72,7 +72,6 @@ class Recording:
         Raises:
             UsageError: there is no such bag, or nothing in it can be read.
         """
-        self.path = path
         self.note = ''
         self.counts: Counter[str] = Counter()
         self.types: dict[str, str] = {}
@@ -80,9 +79,13 @@ class Recording:
             raise UsageError(f'{path}: no such bag; name the folder of a rosbag2, or its file')
         if path.is_dir() and not _holds_bag(path) and (
                 bags := [str(one) for one in sorted(path.glob('*/')) if _holds_bag(one)]):
-            more = ' …' if len(bags) > _NAMED else ''
-            raise UsageError(f'{path}: is no recording, but a folder with {len(bags)}; name one or '
-                             f'several of the same aircraft: {" ".join(bags[:_NAMED])}{more}')
+            if len(bags) > 1:
+                more = ' …' if len(bags) > _NAMED else ''
+                raise UsageError(
+                    f'{path}: is no recording, but a folder with {len(bags)}; name one or several '
+                    f'of the same aircraft: {" ".join(bags[:_NAMED])}{more}')
+            path = Path(bags[0])
+        self.path = path
         self._foreign = _needs_rosbags(path)
         if self._foreign:
             self._list_foreign()

@@ -24,6 +24,7 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.text import fill_report
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import CATALOGUES
 from taxinet_ros.files.atomic import make_folder, write_atomically, write_parquet
@@ -88,7 +89,7 @@ def judged_words(found: Score) -> dict[str, str]:
         counts = Counter(one.verdict for one in own)
         text = ', '.join(f'{count} {verdict}' for verdict, count in counts.items())
         decided = [one.lower for one in own if one.verdict != 'UNCLEAR']
-        least = f', least rho {min(decided):+.2f}' if decided else ''
+        least = f', least rho {rho_text(min(decided))}' if decided else ''
         words[spec] = (f'{text} of {len(own)} stretch{"es" if len(own) > 1 else ""}{least}: '
                        f'{own[0].words}')
     return words

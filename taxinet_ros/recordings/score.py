@@ -104,6 +104,7 @@ class ScoreOptions:
         latency: [s], or :data:`ESTIMATED`, or ''.
         specs: requirements on the recorded path.
         monitor: run-time monitor, or ''.
+        dataset: where labelled images are to be written; None for nowhere.
     """
 
     bags: tuple[Path, ...]
@@ -118,6 +119,7 @@ class ScoreOptions:
     latency: str = ''
     specs: tuple[str, ...] = ()
     monitor: str = ''
+    dataset: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -170,7 +172,7 @@ class Score:
         scored: mask of the rows that count.
         networks: words of the networks, with their fingerprints.
         slices: errors; the first row is of all frames.
-        alike: frames that count as one independent one.
+        alike: frames that count as one independent one, for the first network.
         latency: estimated.
         applied_s: latency that was taken off.
         verdicts: of requirements.
@@ -234,13 +236,15 @@ def score(
         UsageError: something cannot be used, or no frame can be compared with the truth; the line
             names the likely mistake.
     """
-    if len({path.resolve() for path in options.bags}) < len(options.bags):
-        raise UsageError('score: a recording is named twice; leave one out')
     recordings = [Recording(path) for path in options.bags]
+    if len({one.path.resolve() for one in recordings}) < len(recordings):
+        raise UsageError('score: a recording is named twice; leave one out')
     scenario = own_scenario(recordings[0])
     specs = [parse_spec(text) for text in read_specs(options.specs or DEFAULT_SPECS)]
     _check_read(specs)
     setup = make_setup(options, recordings[0], scenario)
+    if options.dataset is not None:
+        dataset_folders(options.dataset, recordings)
     perceptions: list[Perception] = []
     if play is not None and setup.networks[0].startswith(COMMAND):
         perceptions.append(NodeAnswers(play(
@@ -304,13 +308,28 @@ def make_setup(
     without = all(map(names_topic, networks)) and (
         options.image == NO_IMAGE or not (options.image or recording.of_type(IMAGES)))
     image = '' if without else recording.topic(options.image, IMAGES, 'image')
-    if without and (options.camera or options.monitor):
-        raise UsageError(
-            f'{"camera" if options.camera else "monitor"}: without pictures it has no effect')
+    for option in ('camera', 'monitor', 'dataset'):
+        if without and getattr(options, option):
+            raise UsageError(f'{option}: without pictures it has no effect')
     return Setup(
         place=place, track=track, rig=rig, networks=networks, image=image,
         source=resolved_source(options.source, recording, scenario is not None),
     )
+
+
+def dataset_folders(out: Path, recordings: Sequence[Recording]) -> dict[Path, str]:
+    """Path of the recording by its new folder of labelled images.
+
+    Raises:
+        UsageError: a folder exists, or two recordings have one name.
+    """
+    found = {out / one.path.stem: str(one.path) for one in recordings}
+    if len(found) < len(recordings):
+        raise UsageError(f'dataset {out}: two recordings have the same name; rename one')
+    for folder in found:
+        if folder.exists():
+            raise UsageError(f'dataset {out}: {folder} exists; choose a new folder')
+    return found
 
 
 def _scene(scenario: Scenario | None, rig: Rig | None) -> Scenario:
@@ -378,7 +397,7 @@ def stretches(table: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
-    """Errors of all scored frames and by what they show; and how many count as one."""
+    """Errors of all scored frames and by what they show; how many count as one for the first."""
     kept = table[table['status'] == SCORED].reset_index(drop=True)
     absolute = {
         name: np.stack([kept[f'{column}{end}'].abs().to_numpy(np.float64)
@@ -386,7 +405,9 @@ def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
         for name, (_, _, column) in QUANTITIES.items()
     }
     groups = stretches(kept)
-    blocks, alike = blocks_of(np.concatenate([*absolute.values()]), groups)
+    # Each network's own, so that one whose errors hardly vary leaves the other its interval.
+    own = [blocks_of(np.stack([columns[number] for columns in absolute.values()]), groups)
+           for number in range(networks)]
     differences = {quantity: columns[0] - columns[1] for quantity, columns in absolute.items()
                    if networks > 1}
     # Errors that both networks share are not in the difference, which is less correlated.
@@ -394,7 +415,8 @@ def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
     rows = []
     for kind, name, mask in _masks(kept):
         errors = {
-            quantity: tuple(block_mean(np.where(mask, one, np.nan), blocks) for one in columns)
+            quantity: tuple(block_mean(np.where(mask, one, np.nan), blocks)
+                            for one, (blocks, _) in zip(columns, own, strict=True))
             for quantity, columns in absolute.items()
         }
         better = {
@@ -402,7 +424,7 @@ def sliced(table: pd.DataFrame, networks: int) -> tuple[list[Slice], float]:
             for quantity, one in differences.items()
         }
         rows.append(Slice(kind=kind, name=name, errors=errors, better=better))
-    return rows, alike
+    return rows, own[0][1]
 
 
 def _masks(kept: pd.DataFrame) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:

@@ -21,6 +21,7 @@ from taxinet_ros.bag.check.findings import Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import DRAFTS
 from taxinet_ros.files.record import RECORD_NAME, examine_record, no_writer, read_entry
@@ -314,7 +315,7 @@ def _verdict_of(bag: Path) -> tuple[int | None, str]:
         return None, ''
     if told is None or not told.outcome:
         return None, ''
-    rho = (f'{name} {one.interval.upper:+.3f}' for name, one in told.judged.items())
+    rho = (f'{name} {rho_text(one.interval.upper, ".3f")}' for name, one in told.judged.items())
     return told.index, f' (it says {", ".join([told.outcome, *rho])})'
 
 

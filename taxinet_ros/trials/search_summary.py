@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.samplers.space import Branch
@@ -60,7 +61,7 @@ def live_words(search: Engine[Any], minutes: float, before: int) -> list[str]:
         left = search.options.runs - len(seen)
         words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
     if seen:
-        words.append(f'lowest rho {least:+.2f}')
+        words.append(f'lowest rho {rho_text(least)}')
     # A viewer may stop at any time: use the interval that is valid at every look.
     planned = search.first_planned or range(0)
     found = failure_rate(seen.verdicts, range(planned.start, 0, planned.step)).rate

@@ -117,14 +117,15 @@ def test_given_no_terminal_when_a_command_is_long_then_a_line_now_and_then_says_
             now[0] += 1
             show('reading', done, 30)
         show('drawing', 1, 4)
-        for done in (50, 75):  # of which 50 were done before the command
-            now[0] += 10
+        for done in (50, 75, 99, 100, 100):  # of which 50 were done before the command
+            now[0] += 10 if done < 99 else 0.1
             show('running', done, 100)
     out, err = capsys.readouterr()
     assert out == ''
     assert err.splitlines() == [
         'reading: 10 of 30, about 0:00:20 left', 'reading: 20 of 30, about 0:00:10 left',
         'reading: 30 of 30', 'running: 50 of 100', 'running: 75 of 100, about 0:00:10 left',
+        'running: 100 of 100',
     ]
 
 

@@ -28,7 +28,7 @@ def scored(tmp_path, see):
     Perceptions are functions of the file, or topics.
     """
     def call(drive, *, perception='see', against='', place='kmwh_04', latency='', specs=(),
-             image='', camera='', monitor='', **more) -> Score:
+             image='', camera='', monitor='', dataset=None, **more) -> Score:
         def word(one):
             return one if one[:1] in ('', '/') else f'{see}:{one}'
 
@@ -40,7 +40,7 @@ def scored(tmp_path, see):
         return score(ScoreOptions(
             bags=(bag,), source=TruthSource(**source), perception=word(perception),
             against=word(against), place=place, latency=latency, specs=specs, image=image,
-            camera=camera, monitor=monitor,
+            camera=camera, monitor=monitor, dataset=dataset,
         ))
 
     return call

@@ -125,6 +125,16 @@ def test_given_a_folder_of_recordings_then_it_asks_for_those_in_it(taxinet, driv
     assert err.endswith(': a b c …\n')
 
 
+def test_given_a_folder_with_one_recording_then_that_is_scored(taxinet, drive, see):
+    words = '--perception', f'{see}:see', '--json', '--dataset', 'images'
+    found = [json.loads(taxinet('score', bag, *KNOWN, *words[:3])[1])
+             for bag in (drive, drive.parent)]
+    assert found[0]['bags'] == found[1]['bags'] == [str(drive)]
+    assert found[0]['cte_mae_m'] == found[1]['cte_mae_m']
+    code, _, err = taxinet('score', drive.parent, drive, *KNOWN, *words)
+    assert (code, err) == (2, 'taxinet: error: score: a recording is named twice; leave one out\n')
+
+
 def test_given_a_run_of_ours_then_place_truth_and_robustness_are_its_own(taxinet, tmp_path):
     code, *_ = taxinet(
         'run', 'nominal', '--engine', 'loop', '--images', 'all', '--set', 'duration=3',

@@ -18,6 +18,7 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.frames import proposals
 from taxinet_ros.recordings.reader import stamp_of
+from taxinet_ros.recordings.report import score_report
 from taxinet_ros.recordings.statistics import estimate_latency
 from taxinet_ros.recordings.truth import Poses, Truth
 
@@ -210,6 +211,33 @@ def test_given_a_network_beside_recorded_estimates_then_they_are_compared_frame_
                        **more)
         assert errors(found)[0] == pytest.approx(0.5, abs=0.04)
         assert errors(found, 1)[0] == pytest.approx(1.0, abs=0.04)
+
+
+def test_given_estimates_whose_errors_drift_then_the_other_network_keeps_its_interval(scored):
+    drive = Drive(seconds=60, noise_m=0.4, more=heard(
+        OURS, lambda ns, cte, he: ours(ns, cte, he + 0.1 * math.sin(ns / 2e10)), noise=(0, 0)))
+    alone = scored(drive, perception='see').slices[0].errors['cte'][0]
+    assert alone.low < alone.value < alone.high
+    found = scored(drive, perception='see', against='/seen')
+    first, second = found.slices[0].errors['cte']
+    assert first == alone
+    assert math.isnan(second.low)
+    lines = [one for one in score_report(found).summary if one.startswith(('No int', 'Intervals'))]
+    assert lines[0].startswith('No interval of /seen: neighbouring errors are so alike')
+
+
+@pytest.mark.parametrize(('image', 'line'), [
+    ('none', '--dataset: without pictures it has no effect'), ('', 'exists; choose a new folder'),
+])
+def test_given_images_that_cannot_be_written_then_that_is_said_before_scoring(
+    scored, tmp_path, monkeypatch, image, line
+):
+    monkeypatch.setattr('taxinet_ros.recordings.score.read_frames', None)
+    for number in range(4):
+        (tmp_path / f'images/drive{number}').mkdir(parents=True)
+    drive = Drive(seconds=2, more=heard(OURS, ours, seconds=2))
+    with pytest.raises(UsageError, match=line):
+        scored(drive, perception='/seen', image=image, dataset=tmp_path / 'images')
 
 
 @pytest.mark.parametrize(('word', 'line'), [

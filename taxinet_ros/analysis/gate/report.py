@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 
 from taxinet_ros.analysis.gate.criteria import Criterion, GateOptions, GateResult, Kind, Verdict
 from taxinet_ros.analysis.report.text import macro_text
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.provenance import words
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -256,8 +257,8 @@ def _result_words(row: RunRow) -> str:
 
 def _rho_words(row: RunRow) -> str:
     return ', '.join(
-        f'{name}: rho {low:+.3f}' if low == high else f'{name}: rho {low:+.3f} to {high:+.3f}'
-        for name, (low, high) in row.robustness.items()
+        f'{name}: rho ' + ' to '.join(rho_text(end, '.3f') for end in dict.fromkeys(interval))
+        for name, interval in row.robustness.items()
     )
 
 

@@ -25,7 +25,12 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.trace import Column
-from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
+from taxinet_ros.core.mtl.interval import (
+    lower_column,
+    rho_text,
+    specs_with_interval,
+    upper_column,
+)
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -195,11 +200,11 @@ class _Panel:
         for x, word, column, colour in (
             (right - 170, 'truth', 'cte_m', _TRUTH), (right, 'estimate', 'est_cte_m', _ESTIMATE)
         ):
-            words = f'{word} {_signed(row[column])} m'
+            words = f'{word} {row[column]:+.2f} m'
             draw.text((x, y), words, colour, _font(16), anchor='rm')
         if self.spec:
             ends = (row[column(self.spec)] for column in (lower_column, upper_column))
-            words = f'[{", ".join(map(_signed, ends))}]'
+            words = f'[{", ".join(map(rho_text, ends))}]'.replace('inf', '∞')
             draw.text((rho_right, y), words, _RHO, _font(16), anchor='rm')
 
 
@@ -340,10 +345,6 @@ def _draw_robustness(
     lines = [line for ends in beyond for line in plot.plot(t_s, ends, color=_RHO, linewidth=1.6)]
     plot.set_title(f'ρ of {spec}', fontsize=11, loc='left')
     return [area, *lines]
-
-
-def _signed(value: float) -> str:
-    return f'{value:+.2f}' if np.isfinite(value) else f'{value:+.0f}'.replace('inf', '∞')
 
 
 def _pixels(canvas: FigureCanvasAgg) -> Picture:

@@ -26,6 +26,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
 from taxinet_ros.analysis.report.parts import Link, Picture, Report, Section, Table
 from taxinet_ros.core.mtl import SIGNALS, parse_formula
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.mtl.lint import formula_words
 from taxinet_ros.trials.rates import count_words
 
@@ -163,6 +164,7 @@ def environment(folder: Path) -> Environment:
         'points': lambda share, digits=1: decimals(100 * share, digits, sign='+'),
         'decimals': decimals,
         'counts': count_words,
+        'rho': rho_text,
         'signed': lambda value, digits=2: decimals(value, digits, sign='+'),
         'p': p_words,
         'file_name': _file_name,

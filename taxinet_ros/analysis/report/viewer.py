@@ -18,7 +18,12 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.trace import Column
-from taxinet_ros.core.mtl.interval import lower_column, specs_with_interval, upper_column
+from taxinet_ros.core.mtl.interval import (
+    lower_column,
+    rho_text,
+    specs_with_interval,
+    upper_column,
+)
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.place.markings import Polygon, markings
@@ -252,7 +257,7 @@ def _words(facts: RunFacts) -> dict[str, str]:
     words = {'outcome': ' '.join(w for w in (facts.outcome, facts.kind, facts.detail) if w)}
     for name, judged in facts.judged.items():
         lower, upper = judged.interval
-        ends = [f'{end:.2f}'.replace('-', '−') for end in (lower, upper)]
+        ends = [rho_text(end).replace('-', '−') for end in (lower, upper)]
         words[f'ρ of {name}'] = ends[0] if judged.final else ' … '.join(ends)
     if (perception := facts.nodes.get('perception')) is not None:
         words['perception'] = perception.implementation

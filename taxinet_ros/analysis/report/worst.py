@@ -14,6 +14,7 @@ from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.analysis.report.pictures import data_address, view_picture
 from taxinet_ros.analysis.report.viewer import RunView
 from taxinet_ros.bag.run.trace import Column
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.types import time_words
 from taxinet_ros.core.verdict.run_statistics import deciding_steps
@@ -24,7 +25,7 @@ _MORE_STEPS = 5
 
 def rho_words(rho: float) -> str:
     """A robustness with sign and two decimals: ``−1.30``."""
-    return f'{rho:+.2f}'.replace('-', '−')
+    return rho_text(rho).replace('-', '−')
 
 
 def view_worst(view: RunView, rho: float | None) -> dict[str, Any]:

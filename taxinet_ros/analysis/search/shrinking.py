@@ -18,6 +18,7 @@ from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import signs
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
@@ -224,7 +225,7 @@ def _trajectory(name: str, row: RunRow, shrinking: Shrinking) -> Trajectory:
     recording = open_recording(shrinking.campaign.out / row.bag)
     trace = recording.columns
     return Trajectory(
-        label=f'{name}, rho {row.rho[shrinking.headline]:+.2f}',
+        label=f'{name}, rho {rho_text(row.rho[shrinking.headline])}',
         t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
         x_m=trace['distance_m'].astype(np.float64), cte_m=trace['cte_m'].astype(np.float64),
         ok=row.outcome is Outcome.PASS,

@@ -28,6 +28,7 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.topics import is_of_frames
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.core.provenance import differences, known, provenance
+from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import load_json
@@ -99,8 +100,16 @@ def compare_bags(
     Returns:
         A comparison for every topic with messages in either bag, in the order of the bags;
         transforms only if both bags have them.
+
+    Raises:
+        UsageError: their control rates differ, so that messages have no partners.
     """
     bags = [bag if isinstance(bag, Recording) else open_recording(bag) for bag in (one, other)]
+    one_at, other_at = (f'{bag.path} at {NS_PER_S / bag.period_ns:g} Hz' for bag in bags)
+    if bags[0].period_ns != bags[1].period_ns:
+        raise UsageError(
+            f'{one_at}, {other_at}: messages are compared in order, which needs one control rate; '
+            'compare runs with the same control_rate_hz')
     counts = [bag.info.counts for bag in bags]
     names = [
         name for name in dict.fromkeys([*counts[0], *counts[1]])

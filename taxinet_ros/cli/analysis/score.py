@@ -160,7 +160,7 @@ def score(
     options = ScoreOptions(
         bags=tuple(bags), perception=word_of(context, 'perception'), against=against or '',
         place=place, track=track, image=image, camera=camera, aircraft=aircraft, latency=latency,
-        specs=tuple(spec or ()), monitor=monitor or '', source=_source(
+        specs=tuple(spec or ()), monitor=monitor or '', dataset=dataset, source=_source(
             truth, heading, heading_is, heading_offset, frame, antenna, stamps),
     )
     if out is not None:
@@ -168,8 +168,6 @@ def score(
     _check_rendered(simulate, options.perception, {'--set': settings, '--metar': metar})
     with stage_bars(Console(stderr=True)) as show:
         found = score_bags(options, show, _player() if perception_cmd else None)
-    if not found.setup.image and dataset:
-        raise UsageError('--dataset: without pictures it has no effect')
     if simulate:
         _simulate(found, settings or [], metar)
     if out is None:

@@ -26,7 +26,7 @@ def spec(
     settings: Annotated[
         list[str] | None,
         typer.Option(
-            '--set', metavar='steering.GAIN=VALUE', help='a controller gain',
+            '--set', metavar='steering.GAIN=VALUE', help='a controller gain, or control_rate_hz',
             autocompletion=complete_gain,
         ),
     ] = None,
@@ -38,7 +38,8 @@ def spec(
     """
     from taxinet_ros.core.motion.controller import SteeringGains
     from taxinet_ros.core.mtl import parse_spec
-    from taxinet_ros.core.scenario import Scenario
+    from taxinet_ros.core.scenario import scenario_from_human
+    from taxinet_ros.core.scenario_fields import CONTROL_RATE
     from taxinet_ros.core.verdict.judge import check_specs
     from taxinet_ros.trials.options import split_settings
     from taxinet_ros.trials.requirements import read_specs
@@ -46,9 +47,10 @@ def spec(
 
     specs = [parse_spec(text) for text in read_specs(formulas)]
     others, gains = split_settings(settings or ())
-    if others:
-        raise UsageError(f'--set {next(iter(others))}: only controller gains apply here')
-    found = check_specs(specs, Scenario(duration_s=duration), SteeringGains(**gains))
+    for key in (key for key in others if key != CONTROL_RATE.key):
+        raise UsageError(f'--set {key}: only controller gains and control_rate_hz apply here')
+    scenario = scenario_from_human({'duration_s': duration, **others})
+    found = check_specs(specs, scenario, SteeringGains(**gains))
     lines = tuple(map('; '.join, zip(found.lines, found.reaches, strict=True)))
     if as_json:
         print_json({

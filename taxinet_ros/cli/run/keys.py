@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any
 
 import typer
 
 from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.cli.show import line_console, print_json
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import UsageError, near_miss
 
 
 def keys(
@@ -39,7 +40,9 @@ def keys(
     ]
     found = [one for one in lines if word.lower() in ' '.join(map(str, one.values())).lower()]
     if not found:
-        raise UsageError(f'keys: none has {word!r} in its line; taxinet keys lists all')
+        known = re.findall(r'[\w-]+', ' '.join(f'{one["key"]} {one["what"]}' for one in lines))
+        near = near_miss(word.lower(), known)
+        raise UsageError(f'keys: none has {word!r} in its line{near}; taxinet keys lists all')
     if as_json:
         print_json(found)
         return

@@ -28,6 +28,19 @@ class Verdict(enum.IntEnum):
     """Robustness exactly zero; counts as a failure, as in VerifAI."""
 
 
+def rho_text(rho: float, digits: str = '.2f', width: int = 0) -> str:
+    """A robustness with its sign, which is the verdict: where it rounds to zero, one digit more.
+
+    Args:
+        rho: the robustness.
+        digits: format of a number, without its sign.
+        width: minimum width.
+    """
+    rho += 0.0  # no negative zero
+    text = f'{rho:+{width}{digits}}'
+    return text if rho == 0 or float(text) else f'{rho:+{width}.1g}'
+
+
 class RobustnessInterval(NamedTuple):
     """Bounds on the robustness of one formula on one run, in the unit of its predicate.
 
@@ -114,8 +127,8 @@ class RobustnessInterval(NamedTuple):
             width: minimum width of a known rho.
         """
         if self.exact:
-            return f'rho {self.lower:+{width}{digits}}'
-        return f'rho within [{self.lower:+{digits}}, {self.upper:+{digits}}]'
+            return f'rho {rho_text(self.lower, digits, width)}'
+        return f'rho within [{rho_text(self.lower, digits)}, {rho_text(self.upper, digits)}]'
 
     def bound_words(self, width: int = 0) -> str:
         """E.g. ``rho -0.50``, ``rho <=-0.50``, or ``rho -1.00 to +2.00``; for tables.
@@ -124,10 +137,10 @@ class RobustnessInterval(NamedTuple):
             width: minimum width of rho, or of its only finite bound.
         """
         if not self.exact and math.isfinite(self.lower) and math.isfinite(self.upper):
-            return f'rho {self.lower:+.2f} to {self.upper:+.2f}'
+            return f'rho {rho_text(self.lower)} to {rho_text(self.upper)}'
         sign = '' if self.exact else '<=' if self.upper < math.inf else '>='
         value = self.lower if sign == '>=' else self.upper
-        return f'rho {sign}{value:+{max(width - len(sign), 0)}.2f}'
+        return f'rho {sign}{rho_text(value, width=max(width - len(sign), 0))}'
 
 
 def lower_column(spec: str) -> str:

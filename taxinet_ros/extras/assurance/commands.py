@@ -14,12 +14,12 @@ from taxinet_ros.analysis.report.parts import Picture, Theme
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.cli.help import command_group
-from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.options import JsonOption, ScenarioOption
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.cli.show import print_json
 from taxinet_ros.core.assurance.monitor import SUSTAINED, monitor_doubts
 from taxinet_ros.core.user_code import short_word
-from taxinet_ros.errors import ExitCode
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.assurance.calibrate import calibrate, check_share
 from taxinet_ros.extras.assurance.judge import (
     ALARMS_NAME,
@@ -33,7 +33,7 @@ from taxinet_ros.extras.assurance.judge import (
     judge,
     plain_result,
 )
-from taxinet_ros.trials.options import DEFAULT_ROOT, new_folder
+from taxinet_ros.trials.options import DEFAULT_ROOT, new_folder, split_settings
 
 TEXT = Path(__file__).with_name('show.j2')
 assure_app = command_group(
@@ -100,6 +100,7 @@ def assure_judge(
     workers: Annotated[
         int, typer.Option(min=1, max=64, help='worker processes; same results')
     ] = 2,
+    settings: ScenarioOption = None,
     out: Annotated[
         Path | None,
         typer.Option(help='folder for runs and summary; the same command continues in it'),
@@ -111,12 +112,15 @@ def assure_judge(
     Drives the same scenes without ROS: once with the monitor only watching, and once more for each
     fallback where it raised an alarm.
     """
+    overrides, gains = split_settings(settings or ())
+    if gains:
+        raise UsageError(f'--set steering.{min(gains)}: cannot be set together with --monitor')
     name = f'assure-{Path(program).stem}-{short_word(perception)}-seed{seed}'
     return run_judge(
         JudgeOptions(
             program=program, perception=perception, controller=controller, monitor=monitor,
             fallbacks=tuple(fallback or ('stop',)), runs=runs, seed=seed, workers=workers,
-            out=out or new_folder(DEFAULT_ROOT / name),
+            out=out or new_folder(DEFAULT_ROOT / name), overrides=overrides,
         ),
         as_json=as_json,
     )

@@ -12,7 +12,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,7 @@ from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import plain
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.scenes.overrides import scenes_words
 from taxinet_ros.training.data.dataset import draw_scenes
 from taxinet_ros.trials.past_runs import trials as kept
 from taxinet_ros.trials.past_runs.trials import TrialRecord, check_trials_folder
@@ -79,6 +80,7 @@ class JudgeOptions:
         out: a new folder, or one of an earlier judgement.
         controller, monitor: words.
         fallbacks: words, each driven.
+        overrides: values that replace drawn ones of the scenes.
 
     Raises:
         UsageError: a word is unknown, or the folder has something else.
@@ -93,6 +95,7 @@ class JudgeOptions:
     controller: str
     monitor: str
     fallbacks: tuple[str, ...]
+    overrides: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_perception(self.perception)
@@ -494,7 +497,8 @@ def judge(options: JudgeOptions, progress: Progress) -> Judged:
     """
     if not make_perception(options.perception).needs_image:
         raise UsageError(f'{options.perception}: sees no picture, so there is nothing to monitor')
-    scenes = draw_scenes(options.program, seed=options.seed, images=options.runs)
+    scenes = draw_scenes(
+        options.program, seed=options.seed, images=options.runs, overrides=options.overrides)
     driven, broken = _drive(options, scenes, progress)
     if not driven:
         raise InfraError(InfraKind.SIM, 'judge', -1, f'no scene could be judged: {broken[0]}')
@@ -609,6 +613,9 @@ def alarms_csv(driven: Iterable[Driven]) -> str:
 def plain_result(options: JudgeOptions, judged: Judged) -> dict[str, Any]:
     """Options, results and provenance for JSON; null is not known, not bounded, or no alarm."""
     return plain({
-        'options': {**plain(options), 'fingerprints': options.fingerprints},
+        'options': {
+            **plain(options), 'fingerprints': options.fingerprints,
+            'program': scenes_words(options.program, options.overrides),
+        },
         'judged': judged, 'stack': provenance(),
     })

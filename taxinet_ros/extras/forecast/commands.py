@@ -22,6 +22,7 @@ from taxinet_ros.cli.help import command_group
 from taxinet_ros.cli.options import CampaignArgument, JsonOption, RunOption
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.cli.show import print_json
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.forecast.forecast import (
     STEP_S,
@@ -228,7 +229,7 @@ def _final(forecast: Forecast, recording: Recording) -> float | None:
 def _ending(final: float | None) -> str:
     if final is None:
         return 'in progress'
-    return f'{"satisfied" if final > 0 else "violated"}, {final:+.2f}'
+    return f'{"satisfied" if final > 0 else "violated"}, {rho_text(final)}'
 
 
 def _run_json(

@@ -22,6 +22,7 @@ from taxinet_ros.cli.options import (
 from taxinet_ros.cli.progress import trial_bar
 from taxinet_ros.cli.show import line_console
 from taxinet_ros.core.motion.controller import SteeringGains, typed_gain
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.extras.tune.tuning import (
@@ -140,9 +141,9 @@ def _run(tuning: Tuning, console: Console) -> Tuned | None:
 
     def on_candidate(one: Candidate) -> None:
         number = next(candidates)
-        if one.best:
+        if one.best and one.worst is not None:
             words = 'initial gains' if number == 1 else gain_words(one)
-            console.print(f'{number:4}  rho {one.worst:+.2f} at worst, {one.scene}  {words}')
+            console.print(f'{number:4}  rho {rho_text(one.worst)} at worst, {one.scene}  {words}')
 
     with trial_bar(console, 'runs, at most', most) as (count, interrupted):
         return tuning.run(on_candidate, count, interrupted)

@@ -311,7 +311,8 @@ def actions(
         'bag': next((cause.bag for cause in evidence.causes if cause.bag is not None), None),
     }, {})
     return tuple(
-        replace(section, name=f'todo-{number}', heading='And then' if number > 1 else 'What to do')
+        replace(section, name=f'todo-{number}',
+                heading=f'Step {number}' if number > 1 else 'What to do')
         for number, section in enumerate(found.sections, 1)
     )
 

@@ -82,7 +82,7 @@ SAMPLERS = ('random', 'halton', 'sobol', 'grid')
 
 def draw_scenes(
     program: str | Path, *, seed: int, images: int, sampler: str = 'random',
-    progress: Progress = no_progress,
+    progress: Progress = no_progress, overrides: Mapping[str, str] = {},
 ) -> list[Scenario]:
     """The first scenes of a program, leaving out those that are rejected.
 
@@ -92,13 +92,14 @@ def draw_scenes(
         images: number of scenes.
         sampler: a word of :data:`SAMPLERS`; ``random`` draws as Scenic does.
         progress: called after every scene.
+        overrides: values that replace drawn ones, see :class:`SceneSource`.
 
     Raises:
         UsageError: the program is invalid, rejects most of its scenes, or has too few.
     """
     scenes: list[Scenario] = []
     rejected = 0
-    with SceneSource(program, seed=seed) as source:
+    with SceneSource(program, seed=seed, overrides=overrides) as source:
         for note in source.drawn_notes if sampler == 'random' else source.notes:
             print(note, file=sys.stderr)
         scene = _scene_drawer(source, sampler, seed, images)

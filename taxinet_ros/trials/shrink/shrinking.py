@@ -22,6 +22,7 @@ from rich.text import Text
 
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
@@ -320,7 +321,7 @@ def check_run(engine: Engine[Shrinking], found: Report) -> None:
     before = f', recorded as {interval.bound_words().removeprefix("rho ")}' if interval else ''
     raise UsageError(
         f'{shrinking.run.run_id}: not reproduced: on rerun, {name} has rho '
-        f'{found.original.rho[name]:+.2f}{before}; was it recorded with another version, '
+        f'{rho_text(found.original.rho[name])}{before}; was it recorded with another version, '
         'perception or gains?'
     )
 
@@ -389,7 +390,7 @@ def finding_lines(report: Report) -> list[str]:
 def edge_words(one: Finding) -> str:
     """Text on where the failure begins along one parameter, others as in the shrunk run."""
     fails, passes = one.words(one.shrunk), one.words(one.passes_at)
-    return f'{fails} fails, {passes} passes (rho {one.rho_passes_at:+.2f})'
+    return f'{fails} fails, {passes} passes (rho {_rho(one.rho_passes_at)})'
 
 
 def off_nominal(report: Report) -> str:
@@ -406,7 +407,7 @@ def result_lines(report: Report, shrinking: Shrinking, wall_s: float) -> list[st
     if report.shrunk is not None:
         rho = report.shrunk.rho[shrinking.headline]
         lines.append(
-            f'shrunk: run {report.shrunk.index}, rho {rho:+.2f}: {scene_words(report.shrunk)}'
+            f'shrunk: run {report.shrunk.index}, rho {rho_text(rho)}: {scene_words(report.shrunk)}'
         )
     took = ' in all' if shrinking.campaign.resume else f' in {wall_s:.0f} s'
     lines.append(f'{len(shrinking.judged)} runs{took}')
@@ -419,7 +420,7 @@ def run_command(shrinking: Shrinking, program: str) -> str:
 
 
 def _rho(value: float | None) -> str:
-    return '' if value is None else f'{value:+.2f}'
+    return '' if value is None else rho_text(value)
 
 
 def _ended(report: Report) -> str:

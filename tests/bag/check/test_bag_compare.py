@@ -16,6 +16,7 @@ from bag_edits import SEEN, altered, unaltered
 from bag_samples import STEP_NS, samples, serialise, step_messages, topics, write_bag
 from mcap.writer import Writer
 
+import taxinet_ros as tx
 from taxinet_ros.bag.check.compare import (
     STACK_FILE,
     compare_bags,
@@ -31,6 +32,8 @@ from taxinet_ros.bag.run.facts import made_on
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
 
 STEPS = 6
 
@@ -60,6 +63,16 @@ def test_given_one_number_changed_then_topic_step_and_field_are_named(tmp_path):
     assert (found.first.number, found.first.seq, found.first.field) == (4, 4, 'speed')
     assert found.first.values == ('5.0', '5.25')
     assert first_difference(topics).seq == 4
+
+
+def test_given_two_control_rates_then_messages_are_not_compared_by_their_number(tmp_path):
+    for rate in (10.0, 20.0):
+        run = tx.run(Scenario(duration_s=1.0, control_rate_hz=rate), perception='truth')
+        run.save_bag(tmp_path / f'at{rate:g}', images=False)
+    pair = [tmp_path / 'at10', tmp_path / 'at20']
+    with pytest.raises(UsageError, match=r'at10 at 10 Hz, .*at20 at 20 Hz: messages are compared'):
+        compare_bags(*pair)
+    assert not differing(compare_bags(pair[1], pair[1]))
 
 
 @pytest.mark.parametrize(('field', 'value', 'tolerance', 'equal'), [

@@ -86,6 +86,17 @@ def test_given_a_run_with_faults_in_wind_then_it_is_explained_by_runs_without_ea
     assert 'Driven again without the drops on the lens' in page
 
 
+def test_given_an_error_that_no_change_removes_then_each_cause_is_named_once(taxinet, tmp_path):
+    (tmp_path / 'my.py').write_text('def look(image):\n    return 3.0, 0.0\n')
+    scene = dataclasses.replace(SCENE, rain_fraction=0.0, duration_s=1.0)
+    run = tx.run(scene, perception=(word := f'{tmp_path}/my.py:look'))
+    run.save_bag(tmp_path / 'blind', images=False)
+    code, out, err = taxinet(
+        'explain', tmp_path / 'blind', '--perception', word, '--frames', 1, '--out', 'x')
+    assert (code, err) == (0, '')
+    assert 'the crossing runway, the stratus sky, the hour nor all of it together.' in out
+
+
 def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_page(
     bags, taxinet, tmp_path
 ):

@@ -44,10 +44,18 @@ def test_people2_given_the_controllers_gains_and_a_length_then_they_count(capsys
     )
 
 
+def test_given_a_control_rate_then_windows_are_those_of_its_steps(capsys) -> None:
+    words = 'soon=eventually[0.05:0.05](abs(cte) < 1)', '--set', 'control_rate_hz=20'
+    assert call(capsys, *words)[0] == 0
+    assert call(capsys, words[0])[0] == 2
+
+
 @pytest.mark.parametrize(('words', 'complaint'), [
     (['far=always[35:40](cte < 1)'], 'spec far: always[35:40] begins 35 s into the run, which'),
     (['abs(he) <= 10 m'], 'column 12: expected an angle'),
-    (['phi_always', '--set', 'rain=3'], '--set rain_percent: only controller gains apply here'),
+    (['phi_always', '--set', 'rain=3'],
+     '--set rain_percent: only controller gains and control_rate_hz apply here'),
+    (['phi_always', '--set', 'control_rate_hz=7'], 'control_rate_hz'),
     (['phi_always', '--duration', '0'], 'duration_s is 0, outside 0.1..600 s'),
 ])
 def test_people2_given_what_cannot_be_judged_then_one_line_says_why(

@@ -33,8 +33,24 @@ def test_given_a_word_then_only_lines_with_it_are_listed(taxinet):
     }
 
 
-def test_given_a_word_of_no_line_then_it_is_refused(taxinet):
-    assert taxinet('keys', 'fog')[0] == 2
+@pytest.mark.parametrize(('word', 'key'), [
+    ('surface', 'runway_state'), ('Friction', 'runway_state'), ('icy', 'runway_state'),
+    ('drop-out', 'gnss_dropout_s'),
+])
+def test_given_a_word_of_a_value_or_description_then_its_key_is_found(taxinet, word, key):
+    code, said, _ = taxinet('keys', word)
+    assert (code, key in said) == (0, True)
+
+
+@pytest.mark.parametrize(('word', 'hint'), [
+    ('fog', ''), ('windd', '; did you mean wind?'), ('Exposur_jump', '; did you mean exposure'),
+    ('wind_sped', '; did you mean wind_speed_mps?'), ('elevatin', '; did you mean deviation?'),
+])
+def test_given_a_word_of_no_line_then_it_is_refused_with_the_nearest(taxinet, word, hint):
+    code, said, err = taxinet('keys', word)
+    assert (code, said) == (2, '')
+    assert f"none has '{word}' in its line{hint}" in err
+    assert hint or 'did you mean' not in err
 
 
 @pytest.mark.parametrize('field', SCENARIO_FIELDS, ids=lambda field: field.key)

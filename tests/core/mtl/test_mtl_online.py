@@ -244,6 +244,21 @@ def test_given_bad_settings_when_made_then_it_raises(kwargs: dict[str, int], mes
         Monitor(SHIPPED['phi_always'], **kwargs)
 
 
+@pytest.mark.parametrize(('rho', 'words', 'bound'), [
+    (-0.0004, 'rho -0.0004', 'rho -0.0004'), (0.004, 'rho +0.004', 'rho +0.004'),
+    (-1e-9, 'rho -1e-09', 'rho -1e-09'), (0.0, 'rho +0.000', 'rho +0.00'),
+    (-0.0, 'rho +0.000', 'rho +0.00'), (-0.5, 'rho -0.500', 'rho -0.50'),
+    (-math.inf, 'rho -inf', 'rho -inf'),
+])
+def test_given_a_robustness_near_zero_when_shown_then_its_sign_means_something(
+    rho: float, words: str, bound: str
+) -> None:
+    known = RobustnessInterval.exactly(rho)
+    assert (known.words(), known.bound_words()) == (words, bound)
+    beyond = RobustnessInterval(rho, 100.0).words()
+    assert beyond == f'rho within [{words.removeprefix("rho ")}, +100.000]'
+
+
 @pytest.mark.parametrize(
     ('lower', 'upper', 'verdict'),
     [

@@ -285,6 +285,24 @@ def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_a
         JudgeOptions(**judging, out=out)
 
 
+def test_given_settings_then_they_replace_what_the_program_draws(taxinet, tmp_path, judging):
+    words = (
+        'assure', 'judge', judging['program'], '--perception', 'taxinet', '--monitor',
+        judging['monitor'], '--runs', '1', '--workers', '1', '--out', 'out', '--set',
+    )
+    code, _, err = taxinet(*words, 'steering.heading_gain=1')
+    assert (code, err.count('\n')) == (2, 1)
+    assert '--set steering.heading_gain: cannot be set together with --monitor' in err
+    code, _, err = taxinet(*words, 'duration=12')
+    assert code == 0, err
+    table = (tmp_path / 'out/trials.csv').read_text().splitlines()
+    names, first, *_ = (line.split(',') for line in table)
+    assert dict(zip(names, first, strict=True))['duration_s'] == '12.0'
+    # The safety argument names the scenes by this.
+    kept = json.loads((tmp_path / 'out/assurance.json').read_text())['options']
+    assert kept['program'] == f'{judging["program"]} with duration_s=12'
+
+
 def test_given_a_monitor_that_ends_its_process_then_that_scene_is_left_out_by_name(
     tmp_path, judging, capsys
 ):

@@ -174,8 +174,8 @@ def test_given_scenes_for_another_shipped_network_then_that_one_is_tried_before_
     found = evidence(
         blames=Blames(network=4), outside='original was trained with place kmwh_04',
         elsewhere='anywhere')
-    first, train, _ = todo(found)
-    assert first.heading == 'What to do'
+    first, train, _ = steps = todo(found)
+    assert [one.heading for one in steps] == ['What to do', 'Step 2', 'Step 3']
     assert 'The network anywhere was trained for such scenes' in first.sentences[0]
     assert first.commands == (
         'taxinet compare original anywhere why/scenes.scenic --seed 1000003 --spec phi_always '
