@@ -227,7 +227,7 @@ def test_given_estimates_whose_errors_drift_then_the_other_network_keeps_its_int
 
 
 @pytest.mark.parametrize(('image', 'line'), [
-    ('none', '--dataset: without pictures it has no effect'), ('', 'exists; choose a new folder'),
+    ('none', 'dataset: without pictures it has no effect'), ('', 'exists; choose a new folder'),
 ])
 def test_given_images_that_cannot_be_written_then_that_is_said_before_scoring(
     scored, tmp_path, monkeypatch, image, line
@@ -320,7 +320,7 @@ def test_given_a_run_of_ours_without_pictures_then_its_estimates_are_scored_as_i
     assert found['sentences'][0].startswith('/perception/tracking_error: mean absolute error')
     for more, line in (
         ('--simulate', 'are not of rendered frames; name their network'),
-        ('--dataset=images', '--dataset: without pictures it has no effect'),
+        ('--dataset=images', 'dataset: without pictures it has no effect'),
     ):
         code, out, err = taxinet(*words, more)
         assert (code, out, err.count('\n'), line in err) == (2, '', 1, True)
