@@ -234,7 +234,7 @@ BAD = {
     'unknown option': ({'sampler_options': ['seed=1']}, 'sampler ce: unknown option seed'),
     'option without value': ({'sampler_options': ['every']}, "'every': expected key=value"),
     'unknown rule': ({'until': 'bored'}, 'until bored: expected failures=K'),
-    'resume of nothing named': ({'resume': True}, 'resume: name the campaign to continue with out'),
+    'resume of nothing named': ({'resume': True}, 'resume: name the campaign to continue as out'),
     'no sampler': ({'sampler': '', 'until': 'failures=1'}, 'until: for a sampler only; known: ran'),
     'a gain': ({'set': ['steering.heading_gain=1']}, 'set gains as its parameters'),
     'one formula twice': ({'specs': ['phi_always'] * 2}, 'specs: phi_always is given twice'),
