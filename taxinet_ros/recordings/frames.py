@@ -451,14 +451,14 @@ def _info_notes(topic: str, message: Any, rig: Rig | None) -> Iterator[str]:
 def proposals(path: Path) -> list[dict[str, Any]]:
     """Topic, type, number of messages and use of all topics of a bag, the most frequent first."""
     recording = Recording(path)
-    uses = {'--image': IMAGES, '--truth': TRUTHS, '--heading': HEADINGS,
-            '--perception': (TRACKING_ERROR,), 'checks --camera': (CAMERA_INFO,)}
+    uses = {'image': IMAGES, 'truth': TRUTHS, 'heading': HEADINGS,
+            'perception': (TRACKING_ERROR,), 'checks camera': (CAMERA_INFO,)}
     found = []
     for name, count in recording.counts.most_common():
         kind = recording.types[name]
         use = ', '.join(use for use, types in uses.items() if kind in types)
         if not use and not kind.startswith('taxinet_msgs/'):
             word = proposed_word(recording, name)
-            use = f'--perception {word}' if word else ''
+            use = f'perception {word}' if word else ''
         found.append({'topic': name, 'type': kind, 'messages': count, 'use': use})
     return found

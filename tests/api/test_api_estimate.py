@@ -33,8 +33,7 @@ def test_an_estimate_that_ends_amid_its_draws_raises_and_claims_nothing(tmp_path
     with pytest.raises(tx.UsageError) as raised:
         tx.estimate('s_falsif', perception='truth', out=tmp_path / 'c')
     assert str(raised.value) == (
-        '0 of 2,000 planned draws have ended: no interval before all have; the same with resume '
-        'continues it'
+        '0 of 2,000 planned draws have ended: no interval before all have; resume it'
     )
     assert not (tmp_path / 'c' / 'estimate.json').exists()
 

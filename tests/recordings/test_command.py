@@ -88,9 +88,9 @@ def test_given_a_recording_then_its_topics_are_proposed(taxinet, drive):
     assert code == 0
     rows = {row['topic']: row for row in json.loads(out)[str(drive)]}
     assert {name: row['use'] for name, row in rows.items()} == {
-        '/cam': '--image', '/fix': '--truth', '/imu': '--heading'}
+        '/cam': 'image', '/fix': 'truth', '/imu': 'heading'}
     assert rows['/cam']['messages'] == 301
-    assert '--heading' in taxinet('score', '--topics', drive)[1]
+    assert 'heading' in taxinet('score', '--topics', drive)[1]
 
 
 @pytest.mark.parametrize(('words', 'line'), [

@@ -112,9 +112,9 @@ def test_given_topics_of_numbers_then_they_are_proposed_with_the_form_of_their_w
         *heard(ARRAY, lambda ns, cte, he: array(cte, he), topic='/array', seconds=1),
         ('/time', 'builtin_interfaces/msg/Time', stamp, BEGUN_NS)]))
     assert {row['topic']: row['use'] for row in proposals(bag)} == {
-        '/cam': '--image', '/fix': '--truth', '/imu': '--heading', '/seen': '--perception',
-        '/feet': '--perception /feet:FIELD=m,FIELD=rad',
-        '/array': '--perception /array:FIELD=m,FIELD=rad', '/time': ''}
+        '/cam': 'image', '/fix': 'truth', '/imu': 'heading', '/seen': 'perception',
+        '/feet': 'perception /feet:FIELD=m,FIELD=rad',
+        '/array': 'perception /array:FIELD=m,FIELD=rad', '/time': ''}
 
 
 def test_given_late_pictures_then_recorded_estimates_tell_their_latency(scored):
@@ -304,7 +304,7 @@ def test_given_a_run_of_ours_without_pictures_then_its_estimates_are_scored_as_i
 ):
     bag = GOLDEN / 'taxinet-midday'
     uses = {row['topic']: row['use'] for row in proposals(bag)}
-    assert uses['/perception/tracking_error'] == '--perception'
+    assert uses['/perception/tracking_error'] == 'perception'
     words = 'score', bag, '--perception', '/perception/tracking_error'
     code, out, err = taxinet(*words, '--out', 'found', '--json')
     assert (code, err) == (0, '')

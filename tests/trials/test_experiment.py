@@ -161,7 +161,7 @@ def test_given_no_such_file_or_a_used_folder_then_one_line_says_so(tmp_path):
         arm_searches(one, tmp_path, workers=1, resume=False)
     with pytest.raises(UsageError, match='holds no arm of mine'):
         arm_searches(one, tmp_path, workers=1, resume=True)
-    with pytest.raises(UsageError, match='--workers 0'):
+    with pytest.raises(UsageError, match='workers 0: '):
         arm_searches(one, tmp_path / 'new', workers=0, resume=False)
 
 

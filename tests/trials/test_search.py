@@ -384,7 +384,7 @@ def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, r
     'text', ['', 'failures', 'failures=0', 'failures=1.5', 'half-width=0', 'half-width=nan', 'x=1']
 )
 def test_given_a_rule_that_is_none_then_it_is_refused(text):
-    with pytest.raises(UsageError, match='--until'):
+    with pytest.raises(UsageError, match='until '):
         parse_stop_rule(text)
 
 

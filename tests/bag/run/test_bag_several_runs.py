@@ -123,7 +123,7 @@ def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_
     ):
         code, out, err = taxinet(*words)
         assert (code, out, len(err.splitlines())) == (2, '', 1), words
-        assert f'holds 2 runs: {GOOD.name} (0-12 s), {BAD.name} (0-12 s); choose one with' in err
+        assert f'holds 2 runs: {GOOD.name} (0-12 s), {BAD.name} (0-12 s); choose a run' in err
     code, out, err = taxinet('shrink', both)
     assert (code, out, len(err.splitlines())) == (2, '', 1)
     assert f'taxinet bag split {both} --out DIR' in err

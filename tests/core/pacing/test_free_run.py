@@ -157,5 +157,5 @@ def test_r5_given_a_free_run_then_its_words_read_back(factor, words):
 
 @pytest.mark.parametrize('factor', ['0.05', '-1', '101', 'nan', 'fast', ''])
 def test_r5_given_a_factor_that_cannot_be_then_one_line_says_so(factor):
-    with pytest.raises(UsageError, match=r'^real-time-factor .*: needs to be within 0\.1\.\.100'):
+    with pytest.raises(UsageError, match=r'^real_time_factor .*: needs to be within 0\.1\.\.100'):
         free_timing(factor)

@@ -349,7 +349,7 @@ def test_given_a_recorded_run_then_its_monitor_says_the_same_again(tmp_path, cap
 
 
 @pytest.mark.parametrize(('changed', 'said'), [
-    ({'rate': 0.0}, '--rate 0'), ({'out': 'x.json'}, 'has to end in .npz'),
+    ({'rate': 0.0}, '^rate 0: '), ({'out': 'x.json'}, 'has to end in .npz'),
     ({'out': 'nowhere/x.npz'}, 'is not a folder'),
 ])
 def test_given_bad_options_then_they_are_named(changed, said, tmp_path):

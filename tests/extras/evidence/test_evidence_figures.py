@@ -380,7 +380,7 @@ def test_given_shares_as_people_write_them_then_they_are_read():
     assert [parse_claim(text) for text in ('0.99', '99%', '99 %', ' 99.5% ')] == pytest.approx(
         [0.99, 0.99, 0.99, 0.995])
     for text in ('much', '99 percent', '99% or so', ''):
-        with pytest.raises(UsageError, match='--claim'):
+        with pytest.raises(UsageError, match='claim '):
             parse_claim(text)
 
 
