@@ -178,7 +178,7 @@ def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_n
     assert code == 2, lines
     assert complaint(lines).endswith(
         f'{out} was begun with perception truth (sha256 abababababab…), but the graph has truth; '
-        'start the original one, or choose another out'
+        'start the original one, or choose another folder'
     )
     assert len(read_table(out)) == RUNS
     assert results(out) == results(searched)

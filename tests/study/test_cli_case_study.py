@@ -132,7 +132,7 @@ def test_given_a_campaign_interrupted_when_the_study_is_resumed_then_it_goes_on_
         study.send_signal(signal.SIGINT)
         rest = study.stdout.read()
     assert study.returncode == 130
-    assert rest.splitlines()[-1] == 'interrupted in evaluate-best; --resume goes on'
+    assert rest.splitlines()[-1] == 'interrupted in evaluate-best; resuming goes on'
     before = _results(out)
     assert 1 <= len(before) < 4
 
