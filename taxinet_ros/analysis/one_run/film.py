@@ -200,7 +200,7 @@ class _Panel:
         for x, word, column, colour in (
             (right - 170, 'truth', 'cte_m', _TRUTH), (right, 'estimate', 'est_cte_m', _ESTIMATE)
         ):
-            words = f'{word} {row[column]:+.2f} m'
+            words = f'{word} {row[column]:+.2f} m'.replace('inf', '∞')
             draw.text((x, y), words, colour, _font(16), anchor='rm')
         if self.spec:
             ends = (row[column(self.spec)] for column in (lower_column, upper_column))

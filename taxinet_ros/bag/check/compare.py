@@ -105,8 +105,8 @@ def compare_bags(
         UsageError: their control rates differ, so that messages have no partners.
     """
     bags = [bag if isinstance(bag, Recording) else open_recording(bag) for bag in (one, other)]
-    one_at, other_at = (f'{bag.path} at {NS_PER_S / bag.period_ns:g} Hz' for bag in bags)
     if bags[0].period_ns != bags[1].period_ns:
+        one_at, other_at = (f'{bag.path} at {NS_PER_S / bag.period_ns:g} Hz' for bag in bags)
         raise UsageError(
             f'{one_at}, {other_at}: messages are compared in order, which needs one control rate; '
             'compare runs with the same control_rate_hz')
