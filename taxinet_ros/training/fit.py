@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import math
 import os
+from collections import deque
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +39,12 @@ _ROUND_BELOW = 0.05
 _MEASURED_AT_ONCE = 256
 """Validation pictures per pass through the network."""
 
+_AHEAD = 4
+"""Batches per thread that are made ahead."""
+
+_Batch = tuple[torch.Tensor, torch.Tensor]
+"""Inputs of the network and its targets."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Recipe:
@@ -54,6 +62,7 @@ class Recipe:
         mirrored: whether half of the pictures are mirrored, with their errors, in each epoch; for
             pictures of an eye, which has no side.
         device: where to compute, a word of torch's that is available.
+        workers: threads that augment; weights do not depend on it.
     """
 
     epochs: int
@@ -64,6 +73,7 @@ class Recipe:
     augmented: bool = False
     mirrored: bool = False
     device: str = 'cpu'
+    workers: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -92,9 +102,9 @@ def fit(
 ) -> Fitted:
     """Train a network with AdamW and a one-cycle learning rate schedule.
 
-    One thread and seeded generators make it deterministic: on one machine and device, the same
-    arguments give bit-identical weights. The number of threads, and on a GPU the choice of
-    deterministic kernels, are set for torch in the whole process.
+    One thread of torch and seeded generators make it deterministic: on one machine and device, the
+    same arguments give bit-identical weights. The number of torch's threads, and on a GPU the
+    choice of deterministic kernels, are set in the whole process.
 
     Args:
         architecture: architecture of the network.
@@ -163,8 +173,6 @@ class _Trainer:
         self._recipe = recipe
         self._steps = max(1, len(training) // recipe.batch)
         self._order = np.random.default_rng(recipe.seed)
-        # Separate, so that the order of the pictures does not depend on augmentation.
-        self._chance = np.random.default_rng([recipe.seed, 1])
         rate, steps = recipe.learning_rate, recipe.epochs * self._steps
         self._optimiser = torch.optim.AdamW(self._network.parameters(), lr=rate, weight_decay=0.01)
         self._schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -176,7 +184,7 @@ class _Trainer:
     def epoch(self, number: int) -> Epoch:
         """Train on every picture once, then validate."""
         self._network.train()
-        losses = [self._step(rows) for rows in self._batches()]
+        losses = [self._step(*batch) for batch in self._batches(number)]
         validation_loss, cte_mae_m, he_mae_rad = self._measure()
         if not math.isfinite(validation_loss):
             raise UsageError(
@@ -197,7 +205,6 @@ class _Trainer:
         return {
             'network': self._network.state_dict(), 'optimiser': self._optimiser.state_dict(),
             'schedule': self._schedule.state_dict(), 'order': self._order.bit_generator.state,
-            'chance': self._chance.bit_generator.state,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -206,27 +213,38 @@ class _Trainer:
         self._optimiser.load_state_dict(state['optimiser'])
         self._schedule.load_state_dict(state['schedule'])
         self._order.bit_generator.state = state['order']
-        self._chance.bit_generator.state = state['chance']
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
         """The current weights, for the plain architecture."""
         return fold_batch_norm(self._network)
 
-    def _batches(self) -> Iterator[NDArray[np.int64]]:
+    def _batches(self, number: int) -> Iterator[_Batch]:
+        """Batches of an epoch in its order; threads make some of them ahead."""
         kept = self._steps * self._recipe.batch
         order = self._order.permutation(len(self._training))[:kept]
-        yield from np.array_split(order, self._steps)
+        ahead: deque[Future[_Batch]] = deque()
+        with ThreadPoolExecutor(self._recipe.workers) as threads:
+            for step, rows in enumerate(np.array_split(order, self._steps)):
+                # Of each batch its own: neither the order nor other batches depend on augmentation.
+                chance = np.random.default_rng([self._recipe.seed, 1, number, step])
+                ahead.append(threads.submit(self._batch, rows, chance))
+                if len(ahead) > _AHEAD * self._recipe.workers:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
 
-    def _step(self, rows: NDArray[np.int64]) -> float:
-        pictures = self._training.pictures[rows]
+    def _batch(self, rows: NDArray[np.int64], chance: np.random.Generator) -> _Batch:
+        pictures, targets = self._training.pictures[rows], self._targets[rows]
         if self._recipe.augmented:
-            pictures = augment(pictures, self._chance)
-        targets = self._targets[rows]
+            pictures = augment(pictures, chance)
         if self._recipe.mirrored:
-            other = self._chance.random(len(rows)) < 0.5
+            other = chance.random(len(rows)) < 0.5
             pictures = np.where(other[:, np.newaxis, np.newaxis], pictures[:, :, ::-1], pictures)
             targets = torch.where(torch.from_numpy(other)[:, None], -targets, targets)
-        loss = _loss(self._answers(pictures), targets.to(self._recipe.device))
+        return torch.from_numpy(normalise(pictures)), targets
+
+    def _step(self, seen: torch.Tensor, targets: torch.Tensor) -> float:
+        loss = _loss(self._answers(seen), targets.to(self._recipe.device))
         self._optimiser.zero_grad()
         loss.backward()
         self._rate = self._optimiser.param_groups[0]['lr']
@@ -234,8 +252,7 @@ class _Trainer:
         self._schedule.step()
         return loss.item()
 
-    def _answers(self, pictures: NDArray[np.uint8]) -> torch.Tensor:
-        seen = torch.from_numpy(normalise(pictures))
+    def _answers(self, seen: torch.Tensor) -> torch.Tensor:
         seen = seen.to(self._recipe.device, memory_format=torch.channels_last)
         answers: torch.Tensor = self._network(seen)
         return answers
@@ -246,7 +263,10 @@ class _Trainer:
         starts = range(0, len(pictures), _MEASURED_AT_ONCE)
         self._network.eval()
         with torch.inference_mode():
-            parts = [self._answers(pictures[s : s + _MEASURED_AT_ONCE]) for s in starts]
+            parts = [
+                self._answers(torch.from_numpy(normalise(pictures[s : s + _MEASURED_AT_ONCE])))
+                for s in starts
+            ]
             answers = torch.cat(parts).cpu()
             truth = scaled(self._validation.cte_m, self._validation.he_rad)
             loss = _loss(answers, torch.from_numpy(truth)).item()

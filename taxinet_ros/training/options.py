@@ -72,7 +72,8 @@ class TrainOptions:
         patience: epochs without a better validation loss after which to stop; 0 means never.
         seed: seed of everything random.
         device: where the network is trained, of :data:`DEVICES`; weights depend on it.
-        workers: number of rendering processes or reading threads; results do not depend on it.
+        workers: number of rendering processes, and of threads that read and augment; results do
+            not depend on it.
         overwrite: whether the files of an earlier training may be replaced.
         resume: whether to go on with an interrupted training.
 

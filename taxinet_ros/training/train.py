@@ -367,6 +367,7 @@ def _fit(
         epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate,
         seed=options.seed, patience=options.patience, augmented=options.augment,
         mirrored=options.augment and options.view is not None, device=options.device,
+        workers=options.workers,
     )
     architecture = ARCHITECTURES[options.architecture_name]
     return fit(

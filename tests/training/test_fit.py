@@ -31,9 +31,10 @@ def fitted(**changes: object) -> Fitted:
     return fit(ARCHITECTURE, TRAINING, VALIDATION, dataclasses.replace(RECIPE, **changes))
 
 
-def test_given_the_same_recipe_when_fitted_twice_then_the_weights_are_the_same_bytes() -> None:
+def test_given_the_same_recipe_when_fitted_by_other_threads_then_the_weights_are_the_same_bytes(
+) -> None:
     plain, augmented = (
-        [fitted(seed=1, augmented=augmented, epochs=2) for _ in range(2)]
+        [fitted(seed=1, augmented=augmented, epochs=2, workers=workers) for workers in (1, 3)]
         for augmented in (False, True)
     )
     for first, again in (plain, augmented):
