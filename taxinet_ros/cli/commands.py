@@ -205,6 +205,7 @@ class Commands(TyperGroup):
     def __init__(self, *words: Any, **named: Any) -> None:
         """Create the group."""
         super().__init__(*words, **named)
+        # It acts as the dict that typer declares.
         self.commands = _Commands()  # type: ignore[assignment]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:

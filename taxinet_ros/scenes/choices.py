@@ -101,7 +101,7 @@ class _Ordered(dict[Any, None]):
     def add(self, member: Any) -> None:
         self[member] = None
 
-    def update(self, members: Iterable[Any]) -> None:  # type: ignore[override]
+    def update(self, members: Iterable[Any]) -> None:  # type: ignore[override]  # as of a set
         super().update(dict.fromkeys(members))
 
 

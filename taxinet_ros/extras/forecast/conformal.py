@@ -24,7 +24,7 @@ scale.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,9 @@ class ConformalModel:
     scale: float
     widths: Floats
     excesses: Floats
+    _centre: Floats = field(init=False, repr=False)
+    _spread: Floats = field(init=False, repr=False)
+    _compressed: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Standardize the training runs."""
@@ -89,7 +92,7 @@ class ConformalModel:
 
         ``apart``: the features (R, F) are of the training runs, each to be predicted by the others.
         """
-        centre, spread = self._centre[moment], self._spread[moment]  # type: ignore[attr-defined]
+        centre, spread = self._centre[moment], self._spread[moment]
         known = (self.features[:, moment] - centre) / spread
         asked = (features - centre) / spread
         distances = ((asked[:, None, :] - known[None, :, :]) ** 2).sum(axis=-1)
@@ -97,7 +100,7 @@ class ConformalModel:
             np.fill_diagonal(distances, np.inf)
         # Stable, so that equally distant runs are chosen by their number on every machine.
         nearest = np.argsort(distances, axis=1, kind='stable')[:, :self.neighbours]
-        similar = self._compressed[nearest]  # type: ignore[attr-defined]
+        similar = self._compressed[nearest]
         sizes = similar.std(axis=1) + FLOOR * self.widths[moment]
         return np.asarray(np.quantile(similar, QUANTILE, axis=1), dtype=np.float64), sizes
 
