@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pandas as pd
+import pytest
 import typer
 import yaml
 
@@ -54,6 +55,7 @@ def test_given_both_examples_then_they_have_the_same_variables_and_the_same_scri
     assert [line.split()[:2] for line in scripts[0]] == [['taxinet', 'check'], ['taxinet', 'gate']]
 
 
+@pytest.mark.nightly
 def test_given_the_script_when_run_with_a_tiny_budget_then_it_leaves_what_is_uploaded(tmp_path):
     table = pd.read_parquet(ROOT / 'bags' / 's_falsif_truth_400.parquet')
     table.iloc[:2].assign(duration_s=12.0).to_parquet(tmp_path / 'baseline.parquet')

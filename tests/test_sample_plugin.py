@@ -47,6 +47,7 @@ def taxinet(site: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[s
     return python(site, '-c', 'from taxinet_ros.cli.main import main; main()', *words, cwd=cwd)
 
 
+@pytest.mark.nightly
 def test_given_the_page_when_its_check_of_the_sample_is_run_then_it_passes(
     site: Path, tmp_path: Path
 ) -> None:
@@ -144,6 +145,7 @@ assert (there.steps[1].observation.state.z_m, list(there.rho)) == (1.55, ["gentl
     assert (done.returncode, done.stderr) == (0, '')
 
 
+@pytest.mark.nightly
 def test_given_the_world_of_the_sample_when_runs_are_asked_for_then_all_that_follows_is_of_there(
     site: Path, tmp_path: Path
 ) -> None:

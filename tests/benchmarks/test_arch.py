@@ -141,6 +141,7 @@ def test_given_corners_then_every_other_point_is_one() -> None:
     assert [set(each) <= {0.0, 1.0} for each in points] == [True, False] * 3
 
 
+@pytest.mark.nightly
 def test_given_words_then_each_search_has_a_line_that_a_single_search_confirms(capsys) -> None:
     words = ['AT2', 'halton', 'corners', '--repeats', '3', '--runs', '9']
     assert arch.main([*words, '--json']) == 0

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from other_stacks import compared, measure, traces
 
 APART_M, APART_RAD = 1e-4, 1e-5
 TRAJECTORY_M = 0.02
 
 
+@pytest.mark.nightly
 def test_given_torch_in_place_of_onnxruntime_then_answers_and_path_differ_within_the_tolerance():
     found = compared(traces('another process', 1, 1.0), measure('torch', 1, 1.0))
     assert found['frames'] == 11

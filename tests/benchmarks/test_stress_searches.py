@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 import stress
 
 
@@ -16,6 +17,7 @@ def test_given_a_tree_then_it_has_as_many_steps_as_whole_paths_and_finds_failure
     assert all(rho == system.rho(path) for path, rho in paths[:20])
 
 
+@pytest.mark.nightly
 def test_given_words_then_each_search_has_a_line_whose_ends_are_in_order(capsys) -> None:
     assert stress.main(['integrator', 'random', 'tree', '--repeats', '6', '--json']) == 0
     lines = json.loads(capsys.readouterr().out)['searches']

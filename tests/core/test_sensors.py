@@ -187,6 +187,7 @@ def test_given_2000_measurements_then_their_noise_has_the_stated_mean_and_deviat
         assert stats.kstest((off - mean) / sigma, 'norm').pvalue > 1e-3, name
 
 
+@pytest.mark.nightly
 def test_given_a_correlation_then_the_noise_keeps_its_value_that_long_and_its_deviation():
     sensors = {'gnss': {'rate_hz': 10, 'noise_m': 2.0, 'correlation_s': 0.5}}
     off = np.concatenate([

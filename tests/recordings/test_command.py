@@ -201,6 +201,7 @@ def test_given_a_node_of_ones_own_then_it_gets_every_picture_in_lockstep(taxinet
     assert (code, 'no such program' in err) == (2, True)
 
 
+@pytest.mark.nightly
 def test_given_recordings_then_labelled_images_are_thinned_and_trained_on(taxinet, see, tmp_path):
     from taxinet_ros.core.perception.weights import load_card
 
@@ -232,6 +233,7 @@ def test_given_recordings_then_labelled_images_are_thinned_and_trained_on(taxine
     assert card.domain is None
 
 
+@pytest.mark.nightly
 def test_given_a_known_camera_then_labelled_images_name_it_and_a_view_shows_them_as_in_the_run(
     taxinet, tmp_path
 ):

@@ -57,6 +57,7 @@ def test_given_any_storage_and_encoding_then_the_errors_are_those_of_the_network
     assert found.notes == []
 
 
+@pytest.mark.nightly
 def test_given_noisy_positions_and_late_pictures_then_noise_and_latency_are_found(scored):
     drive = Drive(seconds=120, noise_m=0.3, late_s=0.25)
     found = scored(drive)

@@ -204,6 +204,7 @@ def test_given_few_failures_among_bad_runs_then_they_alone_are_learned(name: str
     assert max(learned[:9]) <= 0.1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('name', 'options'), [
     ('ce', {}), ('ce', {'rule': 'verifai', 'alpha': 0.995, 'floor': 0.3}),
 ])

@@ -57,7 +57,10 @@ def points(
     return found
 
 
-@pytest.mark.parametrize('name', RHO_OF_REJECTED)
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=[pytest.mark.nightly] if name == 'bo' else [])  # half a minute
+    for name in RHO_OF_REJECTED
+])
 def test_a_sampler_that_learns_hears_of_rejected_points(name: str) -> None:
     feedback = RHO_OF_REJECTED[name]
     told = points(name, feedback)

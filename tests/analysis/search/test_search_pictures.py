@@ -6,6 +6,7 @@ import io
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.image import imread
 
 from taxinet_ros.analysis.one_run.trajectories import Trajectory
@@ -26,6 +27,7 @@ LEARNED = {'x': (0.25, 0.75), 'kind': (0.5, 0.5), 'weather': (0.2, 0.3, 0.5),
            'curved': (0.1, 0.2, 0.3, 0.4)}
 
 
+@pytest.mark.nightly
 def test_given_any_kind_of_choice_when_drawn_then_there_is_a_picture_the_same_each_time(
     tmp_path: Path,
 ) -> None:

@@ -136,6 +136,7 @@ def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder):
         assert done.stderr.count('\n') == 1
 
 
+@pytest.mark.nightly
 def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_bit(folder):
     with begun(
         'localize', 'c', '--with', 'truth', '--out', 'l', cwd=folder, stderr=subprocess.PIPE

@@ -144,6 +144,7 @@ def test_given_another_network_then_it_is_asked_and_the_page_says_who_drove(bags
     assert len(found['moments']) == 1
 
 
+@pytest.mark.nightly
 def test_given_a_run_that_cannot_be_driven_again_then_its_frames_are_asked_or_one_line(
     bags, taxinet, monkeypatch, tmp_path
 ):

@@ -48,6 +48,7 @@ def workflow() -> str:
     return job['steps'][-1]['run']
 
 
+@pytest.mark.nightly
 @pytest.mark.ros
 @pytest.mark.parametrize(('scenes', 'which'), [
     ('2', ('-k', 'runway')), pytest.param('4', (), marks=pytest.mark.nightly),

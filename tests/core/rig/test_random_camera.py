@@ -10,6 +10,7 @@ from taxinet_ros.core.rig.random_camera import random_camera
 from taxinet_ros.core.scenario import Scenario
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('aircraft', ['caravan', 'c172p'])
 def test_given_random_cameras_when_mounted_then_they_see_most_of_the_view(aircraft: str) -> None:
     rng = np.random.default_rng(3)

@@ -111,6 +111,7 @@ def test_given_hostile_words_in_a_table_then_no_cell_is_a_formula_and_parquet_ha
     assert set(read_table(hostile)['program']) == set(FILE_NAMES)
 
 
+@pytest.mark.nightly
 def test_given_hostile_words_when_reported_then_pages_and_junit_hold_them_as_text(
     hostile, tmp_path, monkeypatch, capsys
 ):

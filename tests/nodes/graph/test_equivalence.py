@@ -75,7 +75,9 @@ def requests() -> list[RunRequest]:
 
 
 @pytest.mark.filterwarnings('ignore:.* no effect, as the perception needs no picture')
-@pytest.mark.parametrize('word', ['truth', 'taxinet'])
+@pytest.mark.parametrize('word', [
+    pytest.param('truth', marks=pytest.mark.nightly), 'taxinet',
+])
 def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(word, tmp_path):
     options = {name: GraphOptions(perception=word, out=tmp_path / name) for name in ('one', 'many')}
     composed = judged_in(composed_graph(options['one']), *requests())

@@ -48,6 +48,7 @@ def scene(tmp_path) -> Scenario:
     return found
 
 
+@pytest.mark.nightly
 def test_given_ones_own_aircraft_and_camera_when_a_graph_runs_then_its_bag_has_all_of_them(
     tmp_path, scene, short_request
 ):

@@ -56,6 +56,7 @@ class Client(Node):
         return bool(taken.goals_canceling), self.await_(ended)
 
 
+@pytest.mark.nightly
 def test_given_a_cancel_at_any_moment_then_what_is_cancelled_has_no_verdict(tmp_path):
     taken_of = {True: 0, False: 0}
     rng = np.random.default_rng(20)

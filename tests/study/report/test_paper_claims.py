@@ -234,6 +234,7 @@ def test_five_searches_that_all_learned_the_same_decide_no_statement(share: floa
 # Over repeated studies ---------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_paper_given_networks_that_are_all_alike_then_at_most_one_study_in_twenty_errs() -> None:
     def alike(scenes: pd.DataFrame) -> float:
         return 0.5

@@ -72,6 +72,7 @@ def run_rows(draw: st.DrawFn, index: int) -> RunRow:
     )
 
 
+@pytest.mark.nightly
 @given(data=st.data(), number=st.integers(1, 8))
 def test_given_rows_then_their_columns_are_to_the_bit_those_of_single_rows(
     data: st.DataObject, number: int

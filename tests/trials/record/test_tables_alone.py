@@ -33,6 +33,7 @@ def test_given_a_table_when_written_then_pandas_and_we_read_it_with_its_attribut
         assert list(found.columns) == list(frame.columns)
 
 
+@pytest.mark.nightly
 def test_given_any_flipped_bit_then_the_table_is_refused_by_name_or_the_same(tmp_path):
     path = tmp_path / 'runs.parquet'
     write_parquet(path, FRAME)
