@@ -103,7 +103,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'flightgear doctor': ('taxinet flightgear doctor',),
     'xplane doctor': ('taxinet xplane doctor',),
     'bag info': ('taxinet bag info bags/found/RUN',),
-    'bag doctor': ('taxinet bag doctor bags/found/RUN',),
     'bag recover': ('taxinet bag recover broken.mcap --out whole',),
     'bag export': ('taxinet bag export bags/found/RUN --out run.mp4',),
     'bag split': ('taxinet bag split recorded --out runs',),
@@ -111,7 +110,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag replay': ('taxinet bag replay bags/found/RUN --perception my_net.onnx',),
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
-    'doctor': ('taxinet doctor', 'taxinet doctor bags/found'),
+    'doctor': ('taxinet doctor', 'taxinet doctor bags/found', 'taxinet doctor bags/found/RUN'),
     'setup-messages': (
         'taxinet setup-messages', 'taxinet setup-messages simulation_interfaces',
     ),
