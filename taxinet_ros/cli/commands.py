@@ -48,7 +48,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         'check': 'analysis.check:check',
         'plan': 'analysis.plan:plan',
         'gate': 'analysis.gate:gate',
-        'odd': 'analysis.odd:odd_app',
+        'odd': 'analysis.odd:odd',
         'forecast': '',
         'compare': 'analysis.compare:compare',
         'bisect': 'analysis.bisect:bisect',

@@ -45,12 +45,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet plan --min-satisfaction 0.999',
         'taxinet plan bags/found --min-satisfaction 0.999 --if-true 0.9995',
     ),
-    'odd show': ('taxinet odd show s_falsif',),
-    'odd coverage': (
-        'taxinet odd coverage bags/found --odd s_falsif --plot coverage.png',
-        'taxinet odd coverage bags/one bags/two --odd my_odd.yaml --below 0.05',
+    'odd': (
+        'taxinet odd s_falsif',
+        'taxinet odd s_falsif bags/found --plot coverage.png',
+        'taxinet odd my_odd.yaml bags/one bags/two --below 0.05',
     ),
-    'odd export': ('taxinet odd export s_falsif --out openodd.yaml',),
     'forecast calibrate': ('taxinet forecast calibrate bags/found --out bound.json',),
     'forecast check': ('taxinet forecast check bound.json bags/other',),
     'forecast show': ('taxinet forecast show bound.json bags/found/RUN',),
