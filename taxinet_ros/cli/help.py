@@ -16,7 +16,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     'keys': ('taxinet keys', 'taxinet keys wind'),
     'up': ('taxinet up --perception taxinet',),
-    'node': ('taxinet node scenario_sampler --ros-args -p program:=s_falsif',),
+    'node': (
+        'taxinet node scenario_sampler --ros-args -p program:=s_falsif',
+        'taxinet node live_monitor --ros-args --params-file monitor.yaml',
+    ),
     'check-node': ("taxinet check-node 'ros2 run my_pkg my_node'",),
     'falsify': (
         'taxinet falsify s_falsif --perception original --runs 200 --workers 2 --out bags/found',
@@ -59,7 +62,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'assure judge': (
         'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
     ),
-    'live-monitor': ('taxinet live-monitor --ros-args --params-file monitor.yaml',),
     'evidence write': (
         'taxinet evidence write bags/found --requirement requirement.txt --out bags/evidence',
         "taxinet evidence write bags/found --claim '99 %' --odd s_falsif --out bags/evidence",
