@@ -69,9 +69,10 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         'case-study': 'study.case_study:case_study',
     },
     'Worlds and cameras': {
-        'camera': 'training.camera:camera_app',
         'place': 'run.place:place',
         'aircraft': 'training.aircraft:aircraft',
+        'camera': 'training.camera:camera',
+        'frame': 'training.frame:frame',
         'flightgear': '',
         'xplane': '',
     },

@@ -33,9 +33,8 @@ BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')
 OUTPUT_FILES = {
     'aircraft --out', 'assure calibrate --out', 'bag export --out',
-    'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
-    'check-node --log',
-    'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
+    'camera --out', 'camera --yaml', 'check-node --log',
+    'forecast calibrate --out', 'forecast show --plot', 'frame --out', 'gate --junit',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd --plot',
     'odd --out', 'place --out', 'place --yaml', 'train --out',
 }
