@@ -72,7 +72,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),
     'spec': ("taxinet spec 'always[10 s:inf](abs(steering) <= 3 deg)'",),
     'mine': ("taxinet mine 'always[T:30](abs(cte) <= A)' bags/found --share 0.95",),
-    'evaluate': ('taxinet evaluate s_falsif --perception taxinet --images 500',),
+    'evaluate': (
+        'taxinet evaluate s_falsif --perception taxinet --images 500',
+        'taxinet evaluate bags/pictures --perception mine.onnx',
+    ),
     'score': (
         'taxinet score --topics drive',
         'taxinet score drive --place kmwh_04 --image /camera/image_raw --truth /fix --heading /imu',

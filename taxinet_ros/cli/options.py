@@ -441,12 +441,6 @@ NominalOption = Annotated[
 ]
 NeededRunsOption = Annotated[int, typer.Option(help='maximum number of runs of the search')]
 QuietOption = Annotated[bool, typer.Option('--quiet', help='print warnings and the summary only')]
-PicturesArgument = Annotated[
-    str | None, typer.Argument(
-        metavar='SCENARIO', help='program to render pictures of',
-        autocompletion=complete_program,
-    )
-]
 VariedOption = Annotated[
     bool, typer.Option('--varied', help='vary the appearance of the rendered world')
 ]

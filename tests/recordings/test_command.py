@@ -218,7 +218,7 @@ def test_given_recordings_then_labelled_images_are_thinned_and_trained_on(taxine
     assert 40 < len(labels) < 121
     # The images say what the labels say.
     code, out, _ = taxinet(
-        'evaluate', '--data', 'images/two', '--perception', f'{see}:see', '--json')
+        'evaluate', 'images/two', '--perception', f'{see}:see', '--json')
     assert code == 0
     assert json.loads(out)['slices'][0]['errors']['cte_m']['mae'] < 0.001
     assert taxinet(*words)[0] == 2
