@@ -491,12 +491,12 @@ class _Trial:
         self._note(name, noticed or 'done')
 
     def _doctor(self, path: Path) -> str:
-        """Run ``taxinet bag doctor`` on a damaged bag."""
-        with self._chaos.sit(['bag', 'doctor', str(path)], self._place) as sitting:
+        """Run ``taxinet doctor`` on a damaged bag."""
+        with self._chaos.sit(['doctor', str(path)], self._place) as sitting:
             code = sitting.ended()
-            self._check('bag doctor', sitting, code, {ExitCode.USAGE, ExitCode.INCOMPLETE})
+            self._check('doctor', sitting, code, {ExitCode.USAGE, ExitCode.INCOMPLETE})
             if code == ExitCode.OK:
-                self._broke('in silence', f'bag doctor calls {path.name} sound')
+                self._broke('in silence', f'doctor calls {path.name} sound')
         del self._kept[path]  # no campaign reads it again
         return f'doctor {code}'
 

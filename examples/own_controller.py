@@ -1,6 +1,6 @@
 """Controller node that needs only rclpy and the message package.
 
-Start it in every graph: ``taxinet run s_falsif --controller-cmd 'python3 own_controller.py'``. Test
+Start it in every graph: ``taxinet run s_falsif --controller 'cmd:python3 own_controller.py'``. Test
 it against the contract: ``taxinet check-node 'python3 own_controller.py'``.
 """
 

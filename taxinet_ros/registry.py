@@ -75,7 +75,6 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         'assure': 'taxinet_ros.extras.assurance.commands:assure_app',
         'evidence': 'taxinet_ros.extras.evidence.commands:evidence_app',
         'tune': 'taxinet_ros.extras.tune.commands:tune',
-        'live-monitor': 'taxinet_ros.extras.live_monitor.commands:live_monitor',
         'flightgear': 'taxinet_ros.extras.flightgear.commands:app',
         'xplane': 'taxinet_ros.extras.xplane.commands:app',
     },

@@ -86,7 +86,7 @@ def test_given_the_reference_then_it_has_every_command_key_column_and_kind(site)
     finally:
         sys.path.remove(str(DOCS / '_site'))
     commands = re.findall(r'^#+ taxinet ([\w -]+)$', generated.commands(), re.MULTILINE)
-    assert {'run', 'falsify', 'bag export', 'odd show', 'node'} <= set(commands)
+    assert {'run', 'falsify', 'bag export', 'odd', 'node'} <= set(commands)
     for what in (generated.columns(), generated.scenario_keys(), generated.infra_kinds()):
         rows = [line for line in what.splitlines() if line.startswith('| `')]
         assert len(rows) > 9

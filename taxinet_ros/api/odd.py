@@ -21,7 +21,7 @@ def odd_coverage(
     campaigns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     odd: str | os.PathLike[str], *, spec: str | None = None, below: float | None = None,
 ) -> coverage.OddCoverage:
-    """Measure what campaigns cover of an operational design domain, as ``taxinet odd coverage``.
+    """Measure what campaigns cover of an operational design domain, as ``taxinet odd`` does.
 
     Args:
         campaigns: folder or table of a campaign, or several, of one system.

@@ -46,6 +46,14 @@ def holds_bag(folder: Path) -> bool:
     return any(folder.glob(f'*.{STORAGE_ID}'))
 
 
+def holds_results(folder: Path) -> bool:
+    """Whether a folder has results: folders, databases, tables, or JSON, except beside a bag."""
+    kinds = ['.db', '.parquet']
+    if not (folder / METADATA_FILE).is_file():
+        kinds.append('.json')
+    return any(path.is_dir() or path.suffix in kinds for path in folder.iterdir())
+
+
 def bag_files(folder: Path) -> list[Path]:
     """Files of a run's folder by name."""
     return [path for path in sorted(folder.iterdir()) if path.is_file()]

@@ -241,6 +241,12 @@ def _check_words(name: str, values: Mapping[str, str]) -> None:
             raise UsageError(f'bag metadata {name!r}: {key!r} is {value!r}; give text for both')
 
 
+def free_bytes(folder: Path) -> int:
+    """Free space on the disk of a folder, whether it exists yet or not [bytes]."""
+    there = next((at for at in (folder, *folder.parents) if at.is_dir()), Path())
+    return shutil.disk_usage(there).free
+
+
 def check_room(folder: Path, wanted_bytes: int) -> None:
     """Check that there is enough room for bags on the disk of an existing folder.
 

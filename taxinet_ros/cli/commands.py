@@ -48,13 +48,12 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         'check': 'analysis.check:check',
         'plan': 'analysis.plan:plan',
         'gate': 'analysis.gate:gate',
-        'odd': 'analysis.odd:odd_app',
+        'odd': 'analysis.odd:odd',
         'forecast': '',
         'compare': 'analysis.compare:compare',
         'bisect': 'analysis.bisect:bisect',
         'monitor': 'analysis.monitor:monitor',
         'assure': '',
-        'live-monitor': '',
         'evidence': '',
         'spec': 'analysis.spec:spec',
         'mine': 'analysis.mine:mine',
@@ -70,9 +69,10 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         'case-study': 'study.case_study:case_study',
     },
     'Worlds and cameras': {
-        'camera': 'training.camera:camera_app',
         'place': 'run.place:place',
         'aircraft': 'training.aircraft:aircraft',
+        'camera': 'training.camera:camera',
+        'frame': 'training.frame:frame',
         'flightgear': '',
         'xplane': '',
     },
@@ -90,10 +90,9 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
 OWN = {name: target for section in SECTIONS.values() for name, target in section.items()}
 """Commands of this package by name. No other package can have the name of one."""
 
-_PASSED_ON = {'ignore_unknown_options': True, 'allow_extra_args': True}
 _ONE_LINE = 45
 """Characters of a description beside a completion: shells take a second line for names."""
-_CONTEXT_SETTINGS = {'node': _PASSED_ON, 'live-monitor': _PASSED_ON}
+_CONTEXT_SETTINGS = {'node': {'ignore_unknown_options': True, 'allow_extra_args': True}}
 
 
 def added() -> list[Extension]:

@@ -1,10 +1,11 @@
-"""``taxinet doctor``: check this machine, or a folder of results."""
+"""``taxinet doctor``: check this machine, a bag, or a folder of results."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.text import Text
@@ -12,34 +13,50 @@ from rich.text import Text
 from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.files.plain_values import plain
+
+if TYPE_CHECKING:
+    from taxinet_ros.bag.check.findings import Check, Finding
 
 _STYLES = {'ok': 'green', 'missing': 'yellow', 'broken': 'bold red'}
 
 
 def doctor(
-    folder: Annotated[
+    path: Annotated[
         Path | None,
         typer.Argument(
-            metavar='CAMPAIGN',
-            help='folder of a campaign, experiment, dataset or study, or a folder that contains '
-            'some; without it, this machine is checked',
+            metavar='[BAG|FOLDER]',
+            help='folder or .mcap file of a bag; or folder of a campaign, experiment, dataset or '
+            'study, or one that contains some; without it, this machine is checked',
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Check this machine, or every file in a results folder.
+    """Check this machine, a bag, or every file in a results folder.
 
-    Without a folder: Python, compiler, packages, ROS, messages, domain, discovery, memory, limits,
+    Without a path: Python, compiler, packages, ROS, messages, domain, discovery, memory, limits,
     disk and a short run, each with its fix; exit code 4 if something is broken.
 
-    With a folder: checks every record, each bag against its row and each dataset image against its
-    label, makes tables again that do not say what their record says, and finds leftovers of killed
-    processes. Exit codes: 0 no
-    findings, 3 something is incomplete or damaged, 2 nothing to check. The command that made it
-    goes on with `--resume`.
+    A bag: its checksums, counts, stamps, type hashes, the completeness of every step, and the
+    verdict, with every figure in it, against the recorded truth; each problem with its fix.
+
+    A folder of results: every record, each bag against its row and each dataset image against its
+    label; makes tables again that do not say what their record says, and finds leftovers of killed
+    processes. The command that made it goes on with `--resume`.
+
+    Exit codes of both: 0 no findings, 3 something is incomplete or damaged, 2 nothing to check.
     """
-    if folder is None:
+    if path is None:
         return _check_machine(as_json=as_json)
+    from taxinet_ros.bag.layout import holds_results
+    from taxinet_ros.cli.bag.input import exit_code_of
+
+    if path.is_dir() and holds_results(path):
+        return _check_results(path, as_json=as_json)
+    return exit_code_of(path, lambda: _check_bag(path, as_json=as_json))
+
+
+def _check_results(folder: Path, *, as_json: bool) -> int:
     from taxinet_ros.bag.check.findings import conclusion
     from taxinet_ros.trials.doctor import examine
 
@@ -65,6 +82,55 @@ def doctor(
 def _show_bag_name(bag: Path) -> None:
     if sys.stderr.isatty():
         print(f'\r\033[K{bag.name}', end='', file=sys.stderr, flush=True)
+
+
+def _check_bag(bag: Path, *, as_json: bool) -> int:
+    from taxinet_ros.bag.check.doctor import check_bag
+
+    checks = check_bag(bag).checks
+    _print_checks(bag, checks, as_json=as_json)
+    return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
+
+
+def _print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
+    """Print one line per check, its findings and the repair command."""
+    from taxinet_ros.bag.check.findings import conclusion
+
+    findings = [finding for check in checks for finding in check.findings]
+    if as_json:
+        print_json({
+            'bag': bag, 'sound': not findings,
+            'checks': [
+                {**plain(check), 'findings': [
+                    {**plain(finding), 'fix': _fix(finding, bag)} for finding in check.findings
+                ]} for check in checks
+            ],
+        })
+        return
+    console = line_console()
+    for check in checks:
+        console.print(_check_line(check))
+        for finding in check.findings:
+            console.print(f'        {finding.where}: {finding.what}')
+    fixes = [_fix(finding, bag) for finding in findings]
+    console.print(conclusion(fixes) or 'nothing is wrong')
+
+
+def _check_line(check: Check) -> Text:
+    if check.skipped:
+        word, style = 'skip', 'dim'
+    elif check.findings:
+        word, style = 'BAD', 'bold red'
+    else:
+        word, style = 'ok', 'green'
+    text = Text()
+    text.append(f'{word:<5}', style=style)
+    text.append(f'{check.name:<12}{check.looked_at}')
+    return text
+
+
+def _fix(finding: Finding, bag: Path) -> str:
+    return finding.fix.replace('{bag}', shlex.quote(str(bag)))
 
 
 def _check_machine(*, as_json: bool) -> int:

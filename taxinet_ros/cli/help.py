@@ -16,7 +16,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     'keys': ('taxinet keys', 'taxinet keys wind'),
     'up': ('taxinet up --perception taxinet',),
-    'node': ('taxinet node scenario_sampler --ros-args -p program:=s_falsif',),
+    'node': (
+        'taxinet node scenario_sampler --ros-args -p program:=s_falsif',
+        'taxinet node live_monitor --ros-args --params-file monitor.yaml',
+    ),
     'check-node': ("taxinet check-node 'ros2 run my_pkg my_node'",),
     'falsify': (
         'taxinet falsify s_falsif --perception original --runs 200 --workers 2 --out bags/found',
@@ -45,12 +48,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         'taxinet plan --min-satisfaction 0.999',
         'taxinet plan bags/found --min-satisfaction 0.999 --if-true 0.9995',
     ),
-    'odd show': ('taxinet odd show s_falsif',),
-    'odd coverage': (
-        'taxinet odd coverage bags/found --odd s_falsif --plot coverage.png',
-        'taxinet odd coverage bags/one bags/two --odd my_odd.yaml --below 0.05',
+    'odd': (
+        'taxinet odd s_falsif',
+        'taxinet odd s_falsif bags/found --plot coverage.png',
+        'taxinet odd my_odd.yaml bags/one bags/two --below 0.05',
     ),
-    'odd export': ('taxinet odd export s_falsif --out openodd.yaml',),
     'forecast calibrate': ('taxinet forecast calibrate bags/found --out bound.json',),
     'forecast check': ('taxinet forecast check bound.json bags/other',),
     'forecast show': ('taxinet forecast show bound.json bags/found/RUN',),
@@ -60,7 +62,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'assure judge': (
         'taxinet assure judge s_falsif --perception original --monitor original --runs 300',
     ),
-    'live-monitor': ('taxinet live-monitor --ros-args --params-file monitor.yaml',),
     'evidence write': (
         'taxinet evidence write bags/found --requirement requirement.txt --out bags/evidence',
         "taxinet evidence write bags/found --claim '99 %' --odd s_falsif --out bags/evidence",
@@ -71,7 +72,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'monitor': ("taxinet monitor bags/found --spec 'always[10 s:inf](abs(cte) <= 1 m)'",),
     'spec': ("taxinet spec 'always[10 s:inf](abs(steering) <= 3 deg)'",),
     'mine': ("taxinet mine 'always[T:30](abs(cte) <= A)' bags/found --share 0.95",),
-    'evaluate': ('taxinet evaluate s_falsif --perception taxinet --images 500',),
+    'evaluate': (
+        'taxinet evaluate s_falsif --perception taxinet --images 500',
+        'taxinet evaluate bags/pictures --perception mine.onnx',
+    ),
     'score': (
         'taxinet score --topics drive',
         'taxinet score drive --place kmwh_04 --image /camera/image_raw --truth /fix --heading /imu',
@@ -94,16 +98,17 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "taxinet tune --vary 'steering.max_intercept_rad=10 deg:60 deg' --scenes 20",
     ),
     'case-study': ('taxinet case-study --scale 0.02 --out bags/smoke',),
-    'camera show': ('taxinet camera show', 'taxinet camera show wing'),
-    'camera frame': ('taxinet camera frame --set time_of_day=17:30 --set clouds=broken',),
-    'camera sheet': ('taxinet camera sheet',),
     'place': ('taxinet place', 'taxinet place kmwh_04'),
     'aircraft': ('taxinet aircraft', 'taxinet aircraft caravan'),
+    'camera': ('taxinet camera', 'taxinet camera wing'),
+    'frame': (
+        'taxinet frame --set time_of_day=17:30 --set clouds=broken',
+        'taxinet frame --hours 6,9,12,17 --clouds clear,broken',
+    ),
     'flightgear start': ('taxinet flightgear start --at BIKF',),
     'flightgear doctor': ('taxinet flightgear doctor',),
     'xplane doctor': ('taxinet xplane doctor',),
     'bag info': ('taxinet bag info bags/found/RUN',),
-    'bag doctor': ('taxinet bag doctor bags/found/RUN',),
     'bag recover': ('taxinet bag recover broken.mcap --out whole',),
     'bag export': ('taxinet bag export bags/found/RUN --out run.mp4',),
     'bag split': ('taxinet bag split recorded --out runs',),
@@ -111,7 +116,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     'bag replay': ('taxinet bag replay bags/found/RUN --perception my_net.onnx',),
     'bag compare': ('taxinet bag compare bags/found/RUN bags/again/RUN',),
     'bag golden': ('taxinet bag golden',),
-    'doctor': ('taxinet doctor', 'taxinet doctor bags/found'),
+    'doctor': ('taxinet doctor', 'taxinet doctor bags/found', 'taxinet doctor bags/found/RUN'),
     'setup-messages': (
         'taxinet setup-messages', 'taxinet setup-messages simulation_interfaces',
     ),

@@ -25,7 +25,6 @@ from taxinet_ros.cli.completion import (
     one_of,
 )
 from taxinet_ros.cli.help import LATER
-from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -69,24 +68,6 @@ def ended(code: int, exit_zero: bool) -> typer.Exit:
     return typer.Exit(ExitCode.OK if exit_zero and code == ExitCode.VIOLATED else code)
 
 
-def word_of(context: typer.Context, role: str) -> str:
-    """Word of the option for a role in the graph, or of its command.
-
-    Args:
-        context: context of a command with the option ``--ROLE``, and perhaps ``--ROLE-cmd``.
-        role: ``perception`` or ``controller``.
-
-    Raises:
-        UsageError: both are given.
-    """
-    command = context.params.get(f'{role}_cmd')
-    if command is None:
-        return str(context.params[role])
-    if role in given_options(context):
-        raise UsageError(f'--{role}: cannot be combined with --{role}-cmd; leave one out')
-    return f'{COMMAND}{command}'
-
-
 def controller_of(context: typer.Context) -> str:
     """Word of the controller, under its monitor if one is named.
 
@@ -96,9 +77,7 @@ def controller_of(context: typer.Context) -> str:
     from taxinet_ros.core.assurance.switch import monitored
 
     params = context.params
-    return monitored(
-        word_of(context, 'controller'), params.get('monitor'), params.get('fallback')
-    )
+    return monitored(params['controller'], params.get('monitor'), params.get('fallback'))
 
 
 def campaign_of(context: typer.Context, **own: Any) -> CampaignOptions:
@@ -127,8 +106,7 @@ def campaign_of(context: typer.Context, **own: Any) -> CampaignOptions:
         if name in names and value is not None
     }
     given = {
-        **params, 'perception': word_of(context, 'perception'),
-        'controller': controller_of(context),
+        **params, 'controller': controller_of(context),
         'world': world_word(context.params['world'], context.params['camera']), **own,
     }
     return make_options(**{**given, 'out': Path(given['out']) if 'out' in given else None})
@@ -179,31 +157,19 @@ PerceptionOption = Annotated[
     str,
     typer.Option(
         help='truth; taxinet, original or another shipped network; a .safetensors weights file; an '
-        '.onnx network; a function in a Python file, FILE.py:NAME; a name that a package adds; or '
-        'external, a node you start yourself',
+        '.onnx network; a function in a Python file, FILE.py:NAME; a name that a package adds; a '
+        "node of your own, by the command that starts it in every graph, 'cmd:ros2 run my_pkg "
+        "my_node'; or external, a node you start yourself",
         autocompletion=complete_perception,
-    ),
-]
-PerceptionCommandOption = Annotated[
-    str | None,
-    typer.Option(
-        '--perception-cmd', rich_help_panel=LATER, metavar='COMMAND',
-        help="command of your own node, e.g. 'ros2 run my_pkg my_node', started in every graph",
     ),
 ]
 ControllerOption = Annotated[
     str,
     typer.Option(
         help='steering, the shipped law; a function in a Python file, FILE.py:NAME; a name that a '
-        'package adds; or external, a node you start yourself',
+        'package adds; cmd:COMMAND, which starts a node of your own; or external, a node you start '
+        'yourself',
         autocompletion=complete_controller,
-    ),
-]
-ControllerCommandOption = Annotated[
-    str | None,
-    typer.Option(
-        '--controller-cmd', rich_help_panel=LATER, metavar='COMMAND',
-        help='the same for the controller',
     ),
 ]
 MonitorOption = Annotated[
@@ -475,12 +441,6 @@ NominalOption = Annotated[
 ]
 NeededRunsOption = Annotated[int, typer.Option(help='maximum number of runs of the search')]
 QuietOption = Annotated[bool, typer.Option('--quiet', help='print warnings and the summary only')]
-PicturesArgument = Annotated[
-    str | None, typer.Argument(
-        metavar='SCENARIO', help='program to render pictures of',
-        autocompletion=complete_program,
-    )
-]
 VariedOption = Annotated[
     bool, typer.Option('--varied', help='vary the appearance of the rendered world')
 ]

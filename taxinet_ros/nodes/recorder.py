@@ -8,9 +8,7 @@ bag is complete without them.
 from __future__ import annotations
 
 import functools
-import shutil
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.run.live_bag import PATIENT_LOOKS, LiveBag, stepped_topics
+from taxinet_ros.bag.writer import free_bytes
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes import interface
@@ -85,10 +84,8 @@ class Recorder(Participant):
         self._images = given['images']
         self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
         self.bag: LiveBag | None = None
-        self._period_ns = 0
         # Another node may be ready before this one knows of the run.
         self._reports: deque[bytes] = deque(maxlen=_REPORTS_KEPT)
-        self._looks = 0
         self._progress = self.speak(interface.PROGRESS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         look = functools.partial(self._guarded(self._look), None)
@@ -107,7 +104,6 @@ class Recorder(Participant):
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
         self._abandon()
-        self._looks = 0
         self.bag = LiveBag(
             run_folder(self._out, scenario.run_id), scenario, serialize_message(scenario),
             images=self._images == 'all', min_free_bytes=self._min_free,
@@ -128,22 +124,17 @@ class Recorder(Participant):
         return {
             'bag': str(file or ''), 'bag size [MB]': file.stat().st_size / 1e6 if file else 0.0,
             'steps written': self.bag.written if self.bag is not None else 0,
-            'disk free [MB]': self._free_bytes() / 1e6,
+            'disk free [MB]': free_bytes(self._out) / 1e6,
             'disk free, minimum [MB]': self._min_free / 1e6,
         }
 
     def health(self) -> Health:
         """See :class:`Participant`; also whether there is space for another bag."""
-        health, free = super().health(), self._free_bytes()
+        health, free = super().health(), free_bytes(self._out)
         if health.level == DiagnosticStatus.OK and free < self._min_free:
             line = f'{self._out}: {free / 1e6:.0f} MB free, min_free is {self._min_free / 1e6:.0f}'
             return replace(health, level=DiagnosticStatus.WARN, message=line)
         return health
-
-    def _free_bytes(self) -> int:
-        """Free disk space of the bags' folder, existing or not."""
-        there = next((at for at in (self._out, *self._out.parents) if at.is_dir()), Path())
-        return shutil.disk_usage(there).free
 
     def may_leave(self) -> bool:
         """Whether the bag is closed, or its run has gone silent.
@@ -159,8 +150,8 @@ class Recorder(Participant):
     def close(self) -> None:
         """Finish the bag of an aborted run, without waiting for more messages."""
         bag = self.bag
-        if bag is not None and bag.ended is not None and not bag.judged:
-            self._looks = PATIENT_LOOKS
+        if bag is not None and bag.broken:
+            bag.silent_looks = PATIENT_LOOKS
             self._guarded(lambda _: self._close_if_whole(bag))(None)
         self._abandon()
 
@@ -197,9 +188,8 @@ class Recorder(Participant):
         bag = self.bag
         if bag is None:
             return
-        if topic.each_step:
-            self._looks = 0
-        self._report(bag, bag.take(topic, cdr))
+        for seq, arrived in bag.progress(bag.take(topic, cdr)):
+            self._progress.publish(self.progress(seq, arrived * bag.period_ns))
         if not topic.each_step:
             self._close_if_whole(bag)
 
@@ -209,52 +199,42 @@ class Recorder(Participant):
 
     # The bag ---------------------------------------------------------------------------------
 
-    def _report(self, bag: LiveBag, written: Iterable[int]) -> None:
-        """Say how far the bag has come."""
-        for seq in written:
-            if not bag.free and reports_progress(seq, bag.last_seq, bag.stop_on):
-                self._progress.publish(self.progress(seq, seq * bag.period_ns))
-        if (now := bag.news()) is not None:
-            self._progress.publish(self.progress(now[0], now[1] * bag.period_ns))
-
     def _look(self, _: None) -> None:
-        self._looks += 1
         self._rest.cancel()
         if self.bag is not None:
+            self.bag.silent_looks += 1
             self._close_if_whole(self.bag)
 
     def _close_if_whole(self, bag: LiveBag) -> None:
         """Close the bag once the run has ended and the bag is complete."""
-        if not bag.is_whole(self._looks):
-            if bag.ended is not None and not bag.judged:
+        if not bag.is_whole():
+            if bag.broken:
                 self._rest.reset()
             return
         bag.close()
-        self.bag, self._ended, self._period_ns = None, bag.ended, bag.period_ns
+        self.bag, self._closed = None, bag
         outcome = Outcome(bag.ended.outcome)
         if self._images == 'failures' and outcome in (Outcome.FAIL, Outcome.INFRA_ERROR):
-            self._last_seq = bag.last_seq
             self._late_frames.begin(bag.folder, self._min_free)
         else:
             self._done()
 
     def _done(self) -> None:
         """Report that the bag is complete on disk, with the recorded end of the run."""
-        seq = self._ended.seq
-        self.report(
-            NodeStatus.DONE, seq=seq, stamp_ns=seq * self._period_ns, detail=self._ended.outcome
-        )
+        ended, period_ns = self._closed.ended, self._closed.period_ns
+        stamp_ns = ended.seq * period_ns
+        self.report(NodeStatus.DONE, seq=ended.seq, stamp_ns=stamp_ns, detail=ended.outcome)
 
     def _on_frame(self, seq: int) -> None:
         """Tell the simulator that this node is working."""
-        if reports_progress(seq, self._last_seq):
-            self._progress.publish(self.progress(seq, seq * self._period_ns))
+        if reports_progress(seq, self._closed.last_seq):
+            self._progress.publish(self.progress(seq, seq * self._closed.period_ns))
 
     def _on_frames(self, trouble: str) -> None:
         if trouble:
             self.get_logger().error(trouble)
         # An infrastructure error has its own reason to report.
-        if trouble and Outcome(self._ended.outcome).judged:
+        if trouble and self._closed.judged:
             self.report(NodeStatus.ERROR, detail=trouble)
         else:
             self._done()

@@ -179,8 +179,7 @@ class TrainOptions:
     def command_line(self) -> str:
         """The command that trains these weights, with every relevant option."""
         words = ['taxinet', 'train', *([] if self.program is None else [self.program])]
-        for folder in self.data:
-            words += ['--data', str(folder)]
+        words += map(str, self.data)
         for place in self.places:
             words += ['--place', place]
         words += [] if self.view is None else ['--view', self.view]

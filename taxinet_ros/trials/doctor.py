@@ -19,7 +19,7 @@ from typing import Any
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.findings import Finding, ranges
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
+from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID, holds_bag, holds_results
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.errors import UsageError
@@ -102,8 +102,8 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
         _check_drafts(place, found)
     if not found.looked_at:
         raise UsageError(
-            f'{folder}: contains no campaign, experiment, dataset or study, so there is nothing to '
-            'check'
+            f'{folder}: contains no bag, campaign, experiment, dataset or study, so there is '
+            'nothing to check'
         )
     for place in places:
         _name_unchecked(place, set(places), found)
@@ -124,10 +124,7 @@ def _places(folder: Path) -> Iterator[Path]:
 
 def _is_bag(folder: Path) -> bool:
     """Whether a folder is a bag; a stray bag file in a folder with records does not count."""
-    if not any(folder.glob(f'*.{STORAGE_ID}')):
-        return False
-    kinds = ('.db', '.json', '.parquet')
-    return not any(path.is_dir() or path.suffix in kinds for path in folder.iterdir())
+    return holds_bag(folder) and not holds_results(folder)
 
 
 def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
@@ -271,7 +268,7 @@ def _check_bag(
 ) -> None:
     """Check that a bag is intact and belongs to its row."""
     found.count('bags', path=bag)
-    command = f'taxinet bag doctor {bag}'
+    command = f'taxinet doctor {bag}'
     if not bag.is_dir():
         found.report(bag, f'is missing, but its run is {row.outcome}')
         return
@@ -391,5 +388,5 @@ def _check_drafts(place: Path, found: Examination) -> None:
     bags = {file.parent for file in place.glob(f'*/*.{STORAGE_ID}')}
     for folder in (place, *sorted(bags)):
         for path in sorted({path for words in DRAFTS for path in folder.glob(words)}):
-            fixed = f'taxinet bag doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
+            fixed = f'taxinet doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
             found.report(path, 'left by a killed process; not used', fixed)

@@ -398,7 +398,7 @@ def make_search(
     if odd is not None and sampler != COVERAGE:
         raise UsageError(
             f'odd {odd}: has an effect on sampler {COVERAGE} only; to measure the coverage of '
-            'any search: taxinet odd coverage'
+            f'any search: taxinet odd {odd} CAMPAIGN'
         )
     if odd is not None and 'cells' in options:
         raise UsageError('sampler option cells: the cells are those of the ODD; leave it out')

@@ -95,7 +95,7 @@ def test_given_a_saved_run_when_opened_then_it_is_the_run(run, tmp_path):
 
 
 @pytest.mark.parametrize('command', [
-    ['bag', 'info'], ['bag', 'doctor'], ['bag', 'split', '--out', 'parts'],
+    ['bag', 'info'], ['doctor'], ['bag', 'split', '--out', 'parts'],
     ['monitor', '--spec', 'phi_always'],
 ])
 def test_given_a_saved_run_then_the_commands_read_it(command, run, tmp_path):

@@ -1,9 +1,10 @@
-"""``taxinet bag info | doctor | recover | export``: what is printed, and the exit codes."""
+"""``taxinet bag info | recover | export`` and ``doctor BAG``: what is printed, the exit codes."""
 
 from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -89,16 +90,31 @@ def test_given_json_when_asked_for_info_then_it_is_one_object(bag: Taxinet) -> N
 
 @pytest.mark.parametrize(('name', 'code'), [('run', 0), ('cut', 3), ('flipped', 3)])
 def test_given_a_bag_when_the_doctor_looks_then_exit_code_and_json_agree(
-    bag: Taxinet, name: str, code: int
+    bag: Taxinet, taxinet: Taxinet, name: str, code: int
 ) -> None:
-    said, out, err = bag('doctor', name)
+    said, out, err = taxinet('doctor', name)
     assert (said, err) == (code, '')
     assert ('nothing is wrong' in out) == (code == 0)
     assert (f'fixed by: taxinet bag recover {name} --out NEW' in out) == (code == 3)
-    said, out, _ = bag('doctor', name, '--json')
+    said, out, _ = taxinet('doctor', name, '--json')
     values = json.loads(out)
     assert (said, values['sound']) == (code, code == 0)
     assert len(values['checks']) == 4
+
+
+def test_given_other_forms_of_a_bag_then_the_doctor_knows_them_from_results(
+    bag: Taxinet, taxinet: Taxinet, made: Path, tmp_path: Path
+) -> None:
+    assert taxinet('doctor', 'run/run_0.mcap')[0] == 0
+    assert 'an sqlite3 bag; convert it' in taxinet('doctor', 'sqlite')[2]
+    assert 'contains no .mcap' in taxinet('doctor', 'empty')[2]
+    assert 'no such bag' in taxinet('doctor', 'nothing')[2]
+    noted = tmp_path / 'noted'
+    shutil.copytree(made / 'run', noted)
+    (noted / 'notes.json').write_text('{}')
+    assert 'nothing is wrong' in taxinet('doctor', str(noted))[1]
+    (tmp_path / 'page.html').touch()
+    assert 'contains no bag, campaign' in taxinet('doctor', str(tmp_path))[2]
 
 
 def test_given_damaged_bags_when_recovered_then_the_new_ones_are_whole(
@@ -190,7 +206,7 @@ def _filmed(made: Path, sizes: list[tuple[int, int]]) -> Any:
 
 
 BAD = {
-    'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
+    'no bag': (['info', 'garbage.mcap'], 2, 'not an MCAP file'),
     'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
     'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'contains no .mcap'),
     'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'already exists'),

@@ -33,11 +33,10 @@ BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')
 OUTPUT_FILES = {
     'aircraft --out', 'assure calibrate --out', 'bag export --out',
-    'camera frame --out', 'camera sheet --out', 'camera show --out', 'camera show --yaml',
-    'check-node --log',
-    'forecast calibrate --out', 'forecast show --plot', 'gate --junit',
-    'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd coverage --plot',
-    'odd export --out', 'place --out', 'place --yaml', 'train --out',
+    'camera --out', 'camera --yaml', 'check-node --log',
+    'forecast calibrate --out', 'forecast show --plot', 'frame --out', 'gate --junit',
+    'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd --plot',
+    'odd --out', 'place --out', 'place --yaml', 'train --out',
 }
 OUTPUT_FOLDERS = {
     'analyze --out', 'assure judge --out', 'bag recover --out', 'bag render --out',
@@ -117,7 +116,7 @@ def test_given_the_names_of_records_then_all_are_known():
 GATE = ('gate', 'c', '--min-satisfaction', '0.3', '--junit')
 MONITOR = ('monitor', BAG, '--plot')
 FORECAST = ('forecast', 'calibrate', 'c', '--out')
-EXPORT = ('odd', 'export', 's_falsif', '--out')
+EXPORT = ('odd', 's_falsif', '--out')
 LOG = ('check-node', 'true', '--log')
 
 
@@ -215,7 +214,7 @@ NUMBERS = sorted(
 )
 ARGUMENTS = {
     'forecast calibrate': ('c', '--out', 'f.json'), 'forecast check': ('f', 'c'),
-    'odd coverage': ('c', '--odd', 's_falsif'), 'assure calibrate': (
+    'odd': ('s_falsif', 'c'), 'assure calibrate': (
         's_falsif', '--perception', 'original', '--out', 'x.npz'),
     'gate': ('c',), 'fork': (BAG,), 'train': ('s_falsif', '--out', 'n.safetensors'),
     'analyze': ('c',), 'forecast show': ('f', BAG), 'bag replay': (BAG,),

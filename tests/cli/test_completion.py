@@ -81,7 +81,7 @@ def asked(monkeypatch, capfd, **environment):
     ('taxinet|run|--perception|my.py|:|loo', 5, []),
     ('taxinet|run|s_falsif|--engine|', 4, ['graph', 'loop']),
     ('taxinet|run|s_falsif|--perception|=|tru', 5, ['truth']),
-    ('taxinet|camera|frame|--set|clouds|=|ci', 6, ['cirrus']),
+    ('taxinet|frame|--set|clouds|=|ci', 5, ['cirrus']),
     ('taxinet|fork|RUN|--set|runway_state|=|i', 6, ['icy']),
     ('taxinet|falsify|s_falsif|--sampler|ce|--sampler-option|fl', 6, ['floor=']),
     ('taxinet|falsify|s_falsif|--bound|ct', 4, ['cte=', 'cte_estimate=', 'cte_sigma=']),

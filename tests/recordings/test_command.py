@@ -96,7 +96,7 @@ def test_given_a_recording_then_its_topics_are_proposed(taxinet, drive):
 @pytest.mark.parametrize(('words', 'line'), [
     ((), 'place is missing'),
     ((*KNOWN, 'drive'), 'a recording is named twice'),
-    ((*KNOWN, '--simulate', '--perception-cmd', 'true'), '--simulate: not with'),
+    ((*KNOWN, '--simulate', '--perception', 'cmd:true'), '--simulate: not with'),
     ((*KNOWN, '--perception', 'truth'), 'uses no camera image'),
     ((*KNOWN, '--latency', 'soon'), "latency 'soon': expected seconds"),
     ((*KNOWN, '--antenna', '3'), "--antenna '3': expected X,Y"),
@@ -188,7 +188,9 @@ def test_given_a_node_of_ones_own_then_it_gets_every_picture_in_lockstep(taxinet
     found = []
     for _ in range(2):
         code, out, err = taxinet(
-            'score', drive, *KNOWN, '--perception-cmd', node, '--json', '--out', f'out{len(found)}')
+            'score', drive, *KNOWN, '--perception', f'cmd:{node}', '--json', '--out',
+            f'out{len(found)}',
+        )
         assert (code, err) == (0, ''), err
         found.append(json.loads(out))
     assert found[0]['counts'] == {'scored': 31}
@@ -197,7 +199,7 @@ def test_given_a_node_of_ones_own_then_it_gets_every_picture_in_lockstep(taxinet
     function = f'{example}/perception_function.py:bright_paint'
     assert 'perception.py' in next(iter(found[0]['networks']))
     assert taxinet('score', drive, *KNOWN, '--perception', function)[0] == 0
-    code, _, err = taxinet('score', drive, *KNOWN, '--perception-cmd', 'no-such-program')
+    code, _, err = taxinet('score', drive, *KNOWN, '--perception', 'cmd:no-such-program')
     assert (code, 'no such program' in err) == (2, True)
 
 
@@ -217,7 +219,7 @@ def test_given_recordings_then_labelled_images_are_thinned_and_trained_on(taxine
     assert 40 < len(labels) < 121
     # The images say what the labels say.
     code, out, _ = taxinet(
-        'evaluate', '--data', 'images/two', '--perception', f'{see}:see', '--json')
+        'evaluate', 'images/two', '--perception', f'{see}:see', '--json')
     assert code == 0
     assert json.loads(out)['slices'][0]['errors']['cte_m']['mae'] < 0.001
     assert taxinet(*words)[0] == 2

@@ -53,11 +53,11 @@ with open_study(Path('study'), print) as record:
 
 
 def test_given_list_then_all_stages_are_named_with_their_commands_and_nothing_is_done(tmp_path):
-    done = taxinet('case-study', '--list', '--scale', '0.02', '--runs', '7', cwd=tmp_path)
+    done = taxinet('case-study', '--list', '--scale', '0.02', cwd=tmp_path)
     lines = done.stdout.splitlines()
     assert (done.returncode, len(lines)) == (0, 30), done.stderr
     assert lines[1].split()[:5] == ['2', 'falsify-original', 'to', 'do', 'taxinet']
-    assert '--runs 7 --workers 2' in lines[1]
+    assert '--runs 80 --workers 2' in lines[1]
     assert '--images 240 ' in lines[0]
     assert list(tmp_path.iterdir()) == []
 
@@ -104,9 +104,12 @@ def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
     assert case_study(None, out=out, scale=0.02) == 3
     begun = read_options(out, 'case-study', '')
     assert (begun['runs'], begun['images']) == (80, 240)
-    assert case_study(None, out=out, resume=True, runs=90) == 3
+    assert case_study(None, out=out, resume=True, workers=1) == 3
     begun = read_options(out, 'case-study', '')
-    assert (begun['runs'], begun['images']) == (90, 240)
+    assert (begun['runs'], begun['images'], begun['workers']) == (80, 240, 1)
+    (tmp_path / 'more.yaml').write_text('evaluation: {runs: 90}')
+    assert case_study(None, out=out, resume=True, config=tmp_path / 'more.yaml') == 3
+    assert read_options(out, 'case-study', '')['runs'] == 90
     printed = capsys.readouterr().out
     assert 'stopped at train-original: exit code 3; once it is fixed, --resume' in printed
     with pytest.raises(UsageError, match=r'study: already exists'):

@@ -86,7 +86,7 @@ def test_given_a_foreign_folder_when_trained_on_then_rows_are_held_back_by_seed(
     assert (cards[0].images, cards[0].validation) == (6, 2)
     assert [(data.kind, data.name) for data in cards[0].training_data] == [('folder', 'photos')]
     assert cards[0].command_line == (
-        f'taxinet train --data {folder} --validation 2 --epochs 2 --batch 4 '
+        f'taxinet train {folder} --validation 2 --epochs 2 --batch 4 '
         '--learning-rate 0.003 --seed 1 --out one.safetensors'
     )
 
@@ -102,8 +102,8 @@ def test_given_a_folder_to_measure_on_when_trained_then_nothing_is_held_back(
     assert [data.name for data in card.validation_data] == ['c']
     assert (card.augment, card.patience) == (True, 1)
     assert card.command_line == (
-        f'taxinet train --data {one} --data {two} --validation-data {other} --augment --epochs 2 '
-        '--batch 4 --learning-rate 0.003 --patience 1 --seed 7 --out net.safetensors'
+        f'taxinet train {one} {two} --validation-data {other} --augment --epochs 2 --batch 4 '
+        '--learning-rate 0.003 --patience 1 --seed 7 --out net.safetensors'
     )
     assert load_model(out).card == card
 

@@ -161,7 +161,7 @@ def test_given_folders_that_name_their_cameras_when_trained_on_with_a_view_then_
     data = {'places': (), 'data': (folder,), 'validation': 2}
     card = train(options(out, **data))
     assert (card.view, card.images, card.validation, card.domain) == ('ahead', 4, 2, None)
-    assert card.command_line.startswith(f'taxinet train --data {folder} --view ahead ')
+    assert card.command_line.startswith(f'taxinet train {folder} --view ahead ')
     added = options(tmp_path / 'more.safetensors', places=('kmwh_04',), add_data=(folder,),
                     view=None, start=str(out), images=4)
     card = train(added)

@@ -1,6 +1,6 @@
 """Perception node that needs only rclpy, NumPy and the message package.
 
-Start it in every graph: ``taxinet run s_falsif --perception-cmd 'python3 perception.py'``, or in a
+Start it in every graph: ``taxinet run s_falsif --perception 'cmd:python3 perception.py'``, or in a
 graph that waits for it: ``taxinet up --perception external``. Test it against the contract:
 ``taxinet check-node 'python3 perception.py'``. It takes the mean position of the bright paint in
 the lower half of the frame as the centreline, which is a poor estimate.

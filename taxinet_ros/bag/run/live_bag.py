@@ -6,7 +6,7 @@ The bag is flushed after each complete step: a crash loses only the current step
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from taxinet_ros.bag.writer import FREE_RUN_METADATA
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import last_step
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
+from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.step_collector import FreeProgress, Step, StepCollector
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.sensing import Schedule
@@ -60,6 +61,7 @@ class LiveBag(BegunBag):
         free: whether it is a free run.
         ended: last status of the run, once it is known.
         steps: messages of incomplete steps.
+        silent_looks: looks since the last message of a step; whoever looks counts them.
     """
 
     def __init__(
@@ -70,7 +72,7 @@ class LiveBag(BegunBag):
         scene = scenario_of(scenario)
         self.last_seq, self.period_ns = last_step(scene), scene.period_ns
         self.stop_on = parse_stop_on(scenario.stop_on)
-        self.written = 0
+        self.written = self.silent_looks = 0
         self.free = False
         self.ended: Any = None
         self._stepped = stepped_topics(images)
@@ -114,6 +116,8 @@ class LiveBag(BegunBag):
             InfraError: it is stamped between two control steps.
             BagCorrupt: it is not a message of its topic's type.
         """
+        if topic.each_step:
+            self.silent_looks = 0
         if topic.name in self._expected:
             return self._take_step(topic, cdr)
         if topic.recorded == topics.PER_SAMPLE:
@@ -180,9 +184,17 @@ class LiveBag(BegunBag):
         self._progress.arrived(topics.TIMING.name, timing.seq)
         return self._write_steps()
 
-    def news(self) -> tuple[int, int] | None:
-        """Steps of a free run that are written and have arrived, if this is news."""
-        return self._progress.news(self.written - 1) if self.free else None
+    def progress(self, written: Iterable[int]) -> Iterator[tuple[int, int]]:
+        """Progress to report after ``written``: the last step written, and the last that arrived.
+
+        They differ in a free run, where time does not wait for the recorder.
+        """
+        if not self.free:
+            for seq in written:
+                if reports_progress(seq, self.last_seq, self.stop_on):
+                    yield seq, seq
+        elif (news := self._progress.news(self.written - 1)) is not None:
+            yield news
 
     # The end ------------------------------------------------------------------------------------
 
@@ -191,14 +203,16 @@ class LiveBag(BegunBag):
         """Whether the run has ended with a verdict."""
         return self.ended is not None and Outcome(self.ended.outcome).judged
 
-    def is_whole(self, silent_looks: int) -> bool:
+    @property
+    def broken(self) -> bool:
+        """Whether the run has ended without a verdict."""
+        return self.ended is not None and not self.judged
+
+    def is_whole(self) -> bool:
         """Whether everything has arrived up to the end of the run.
 
         Messages from before the end of an aborted run arrive on other topics than the end, which
         may overtake them.
-
-        Args:
-            silent_looks: number of looks since the last message of a step.
 
         Raises:
             RuntimeError: steps of a judged run are missing.
@@ -218,7 +232,7 @@ class LiveBag(BegunBag):
             return True
         # In a free run, unanswered steps never become complete.
         patient = self.ended.outcome == Outcome.INTERRUPTED and not self.free
-        return silent_looks >= (PATIENT_LOOKS if patient else BROKEN_LOOKS)
+        return self.silent_looks >= (PATIENT_LOOKS if patient else BROKEN_LOOKS)
 
     def close(self) -> None:
         """Write the rest and the end of the run, and mark the bag as complete."""

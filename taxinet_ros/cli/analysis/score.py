@@ -10,14 +10,9 @@ import typer
 from rich.console import Console
 
 from taxinet_ros.cli.completion import complete_perception, complete_spec, one_of
-from taxinet_ros.cli.options import (
-    JsonOption,
-    MonitorOption,
-    PerceptionCommandOption,
-    ScenarioOption,
-    word_of,
-)
+from taxinet_ros.cli.options import JsonOption, MonitorOption, ScenarioOption
 from taxinet_ros.cli.show import line_console, print_json, print_table
+from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -26,7 +21,6 @@ if TYPE_CHECKING:
 
 
 def score(
-    context: typer.Context,
     bags: Annotated[
         list[Path], typer.Argument(metavar='BAG…', help='folders or files of rosbag2 recordings')
     ],
@@ -95,7 +89,6 @@ def score(
             autocompletion=complete_perception,
         ),
     ] = 'taxinet',
-    perception_cmd: PerceptionCommandOption = None,
     against: Annotated[
         str | None, typer.Option(metavar='NET', help='a second one, compared frame by frame',
                                  autocompletion=complete_perception)
@@ -158,7 +151,7 @@ def score(
     from taxinet_ros.trials.options import check_new
 
     options = ScoreOptions(
-        bags=tuple(bags), perception=word_of(context, 'perception'), against=against or '',
+        bags=tuple(bags), perception=perception, against=against or '',
         place=place, track=track, image=image, camera=camera, aircraft=aircraft, latency=latency,
         specs=tuple(spec or ()), monitor=monitor or '', dataset=dataset, source=_source(
             truth, heading, heading_is, heading_offset, frame, antenna, stamps),
@@ -167,7 +160,7 @@ def score(
         check_new(out)
     _check_rendered(simulate, options.perception, {'--set': settings, '--metar': metar})
     with stage_bars(Console(stderr=True)) as show:
-        found = score_bags(options, show, _player() if perception_cmd else None)
+        found = score_bags(options, show, _player() if perception.startswith(COMMAND) else None)
     if simulate:
         _simulate(found, settings or [], metar)
     if out is None:
@@ -192,7 +185,6 @@ def score(
 
 def _check_rendered(simulate: bool, perception: str, weather: dict[str, Any]) -> None:
     """Refuse to render without a network that sees it, and weather without rendering."""
-    from taxinet_ros.core.user_code import COMMAND
     from taxinet_ros.recordings.estimates import names_topic
 
     if not simulate:
@@ -200,7 +192,7 @@ def _check_rendered(simulate: bool, perception: str, weather: dict[str, Any]) ->
             raise UsageError(f'{option}: needs --simulate')
         return
     if perception.startswith(COMMAND):
-        raise UsageError('--simulate: not with --perception-cmd; play it into the node in a graph')
+        raise UsageError(f'--simulate: not with {perception}; play it into the node in a graph')
     if names_topic(perception):
         raise UsageError(f'--simulate: the estimates on {perception} are not of rendered frames; '
                          'name their network')

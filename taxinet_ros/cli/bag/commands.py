@@ -1,7 +1,6 @@
 """The commands of ``taxinet bag``, in the order of its help."""
 
 from taxinet_ros.cli.bag.compare import compare
-from taxinet_ros.cli.bag.doctor import bag_doctor
 from taxinet_ros.cli.bag.export import export
 from taxinet_ros.cli.bag.golden import golden
 from taxinet_ros.cli.bag.info import info
@@ -12,12 +11,11 @@ from taxinet_ros.cli.bag.split import split
 from taxinet_ros.cli.help import command_group
 
 bag_app = command_group(
-    'Inspect, check, repair and export bags. Exit codes: 0 the bag is '
+    'Inspect, repair and export bags; taxinet doctor BAG checks one. Exit codes: 0 the bag is '
     'whole, 2 bad input, or nothing in the bag can be read, 3 something in it is lost or wrong, 4 '
     'no disk space for the output.',
 )
 bag_app.command('info')(info)
-bag_app.command('doctor')(bag_doctor)
 bag_app.command('recover')(recover)
 bag_app.command('export')(export)
 bag_app.command('split')(split)

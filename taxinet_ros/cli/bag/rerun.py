@@ -29,8 +29,7 @@ from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.summary import row_line
 
 _TAKEN_BESIDE_FROM = frozenset({
-    'bag', 'run_id', 'perception', 'perception_cmd', 'controller', 'controller_cmd', 'out',
-    'images', 'processes',
+    'bag', 'run_id', 'perception', 'controller', 'out', 'images', 'processes',
 })
 """Options of ``taxinet run`` allowed with ``--from``."""
 

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import typer
 
 from taxinet_ros.errors import ExitCode, UsageError
 
-NODES = (
-    'simulator',
-    'taxinet_perception',
-    'ground_truth_perception',
-    'steering_controller',
-    'mtl_monitor',
-    'runtime_monitor',
-    'scenario_sampler',
-    'recorder',
-    'bag_player',
-    'scene_markers',
-    'foxglove_server',
-)
+NODES: Mapping[str, str] = {
+    name: f'taxinet_ros.nodes.{name}' for name in (
+        'simulator', 'taxinet_perception', 'ground_truth_perception', 'steering_controller',
+        'mtl_monitor', 'runtime_monitor', 'scenario_sampler', 'recorder', 'bag_player',
+        'scene_markers', 'foxglove_server',
+    )
+} | {'live_monitor': 'taxinet_ros.extras.live_monitor.node'}
+"""Modules of the nodes by name."""
 
 
 def start_node(name: str, arguments: Sequence[str]) -> None:
@@ -35,7 +30,7 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     if name not in NODES:
         raise UsageError(f'unknown node {name!r}; known: {", ".join(NODES)}')
     sys.argv = [name, *arguments]
-    importlib.import_module(f'taxinet_ros.nodes.{name}').main()
+    importlib.import_module(NODES[name]).main()
 
 
 def node(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import typer
 
 from taxinet_ros.cli.options import (
     AuditOption,
     BoundOption,
-    ControllerCommandOption,
     ControllerOption,
     EngineOption,
     ExitZeroOption,
@@ -24,7 +22,6 @@ from taxinet_ros.cli.options import (
     LatencyOption,
     MonitorOption,
     OutOption,
-    PerceptionCommandOption,
     PerceptionOption,
     ProcessesOption,
     QuietOption,
@@ -43,7 +40,6 @@ from taxinet_ros.cli.options import (
     campaign_of,
     ended,
     given_options,
-    word_of,
 )
 from taxinet_ros.errors import UsageError
 
@@ -57,9 +53,7 @@ def run(
     workers: WorkersOption = 1,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
-    perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
-    controller_cmd: ControllerCommandOption = None,
     monitor: MonitorOption = None,
     fallback: FallbackOption = None,
     world: WorldOption = 'kmwh',
@@ -152,11 +146,7 @@ def _run_from(context: typer.Context, bag: Path) -> int:
     check_options(given)
     with readable_run(bag, given.get('run_id')) as whole:
         return run_again(
-            whole, perception=_word(context, given, 'perception'),
-            controller=_word(context, given, 'controller'), out=given.get('out'),
+            whole, perception=given.get('perception'),
+            controller=given.get('controller'), out=given.get('out'),
             images=given.get('images'), processes=context.params['processes'],
         )
-
-
-def _word(context: typer.Context, given: dict[str, Any], role: str) -> str | None:
-    return word_of(context, role) if {role, f'{role}_cmd'} & given.keys() else None

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from taxinet_ros.cli.completion import complete_gain
 from taxinet_ros.cli.options import (
-    ControllerCommandOption,
     ControllerOption,
     FactorOption,
     FallbackOption,
@@ -20,13 +19,11 @@ from taxinet_ros.cli.options import (
     ImagesOption,
     LatencyOption,
     MonitorOption,
-    PerceptionCommandOption,
     PerceptionOption,
     WorldCameraOption,
     WorldOption,
     controller_of,
     refuse_given,
-    word_of,
 )
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -34,9 +31,7 @@ from taxinet_ros.errors import ExitCode, UsageError
 def up(
     context: typer.Context,
     perception: PerceptionOption = 'taxinet',
-    perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
-    controller_cmd: ControllerCommandOption = None,
     monitor: MonitorOption = None,
     fallback: FallbackOption = None,
     world: WorldOption = 'kmwh',
@@ -110,8 +105,8 @@ def up(
 
     if not record:
         refuse_given(context, ('images',), 'has no effect with --no-record; leave one out')
-    perceives, steers = word_of(context, 'perception'), controller_of(context)
-    check_perception(perceives, graph=True)
+    steers = controller_of(context)
+    check_perception(perception, graph=True)
     for option, word, known in (('images', images, IMAGES), ('restart', restart, list(Restart))):
         if word not in known:
             raise UsageError(f'--{option} {word}: unknown; known: {", ".join(known)}')
@@ -130,7 +125,7 @@ def up(
     out = out or new_folder(DEFAULT_ROOT / 'up')
     check_new(out)
     graph = GraphOptions(
-        perception=perceives, out=out, images=recorded_images(chosen, images), gains=gains,
+        perception=perception, out=out, images=recorded_images(chosen, images), gains=gains,
         controller=steers, timing=timing, world=chosen.name,
     )
     name = absolute_namespace(namespace, '--namespace ')

@@ -19,7 +19,7 @@ from taxinet_ros.cli.show import line_console
 from taxinet_ros.cli.study.stages import call_stage
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.record import RECORD_NAME
-from taxinet_ros.study.stages.config import read_config, resized, scaled, shipped_config
+from taxinet_ros.study.stages.config import read_config, scaled, shipped_config
 from taxinet_ros.study.stages.plan import COMMAND, read_study, stages, stages_until
 from taxinet_ros.study.stages.run import (
     OPTIONS,
@@ -38,19 +38,13 @@ from taxinet_ros.trials.options import DEFAULT_ROOT, check_new, make_out, new_fo
 def case_study(
     context: typer.Context,
     config: Annotated[
-        Path | None, typer.Option(metavar='FILE', help='YAML file of a study (default: the shipped '
-        'one)')
+        Path | None, typer.Option(metavar='FILE', help='YAML file of a study, with its numbers of '
+        'images and runs (default: the shipped one)')
     ] = None,
     scale: Annotated[
         float | None,
         typer.Option(help='scale of the numbers of images and runs: 1 as in the paper, 0.02 for a '
         'smoke test of minutes'),
-    ] = None,
-    runs: Annotated[
-        int | None, typer.Option(min=1, help='evaluation scenes per network')
-    ] = None,
-    images: Annotated[
-        int | None, typer.Option(min=1, help='training images per network')
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, max=8, help='worker processes; same results')
@@ -101,7 +95,7 @@ def case_study(
         study = read_study(out, 'resume' if resume else 'list')
     else:
         study = scaled(read_config(config or shipped_config()), 1.0 if scale is None else scale)
-    study = resized(study, runs=runs, images=images, workers=workers)
+    study = dataclasses.replace(study, workers=workers or study.workers)
     where = check_cluster(cluster) if cluster else ''
     wanted = with_engine(stages(study), engine, audit, where)
     if until:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
+from taxinet_ros.cli.completion import complete_program
 from taxinet_ros.cli.options import (
     JsonOption,
     PerceptionOption,
-    PicturesArgument,
     RendererOption,
     refuse_given,
 )
 from taxinet_ros.cli.show import line_console, print_json, print_table
-from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     from taxinet_ros.training.evaluation import SliceErrors
@@ -27,10 +25,13 @@ _QUANTITIES = {'cte_m': ('cross-track', 'm'), 'he_deg': ('heading', 'deg')}
 
 def evaluate(
     context: typer.Context,
-    program: PicturesArgument = None,
-    data: Annotated[
-        Path | None, typer.Option(help='folder of labelled images instead of a program')
-    ] = None,
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar='SCENARIO|DIR', autocompletion=complete_program,
+            help='program to render pictures of, or folder of labelled images',
+        ),
+    ],
     perception: PerceptionOption = 'taxinet',
     images: Annotated[int, typer.Option(help='images to render, one per scene')] = 2_000,
     seed: Annotated[
@@ -45,6 +46,7 @@ def evaluate(
     On rendered scenes, by light and position, or on a folder of labelled images.
     """
     from taxinet_ros.cli.progress import stage_bars
+    from taxinet_ros.cli.training.pictures import picture_sources
     from taxinet_ros.core.provenance import provenance
     from taxinet_ros.core.renderer import OURS
     from taxinet_ros.training.evaluation import (
@@ -53,23 +55,21 @@ def evaluate(
         image_perception,
     )
 
-    if data is not None and program is None:
-        why = 'for rendered scenes; with --data every image is read in order, leave it out'
+    program, folders = picture_sources([source])
+    if program is None:
+        why = 'for rendered scenes; of a folder every image is read in order, leave it out'
         refuse_given(context, ('images', 'seed', 'camera', 'workers'), why)
-    if (program is None) == (data is None):
-        raise UsageError('evaluate: give either a program or --data')
     looker = image_perception(perception)
     with stage_bars(Console(stderr=as_json)) as show:
-        if data is not None:
-            rows = evaluate_folder(looker, data, show)
+        if program is None:
+            rows = evaluate_folder(looker, folders[0], show)
         else:
-            assert program is not None
             rows = evaluate_program(
                 looker, program, images=images, seed=seed, workers=workers, progress=show,
                 camera=camera,
             )
     facts = {'perception': perception, 'fingerprint': looker.fingerprint}
-    facts |= {'data': str(data)} if data else {'program': str(program), 'seed': str(seed)}
+    facts |= {'data': source} if program is None else {'program': program, 'seed': str(seed)}
     facts |= {} if camera == OURS else {'camera': camera}
     if as_json:
         print_json({**facts, 'made_on': provenance(), 'slices': rows})

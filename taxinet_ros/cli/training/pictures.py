@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 from taxinet_ros.cli.checked import check_new_file
 from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.programs import known_programs
 from taxinet_ros.trials.options import DEFAULT_ROOT
 from taxinet_ros.trials.requirements import SUFFIXES
 
@@ -66,6 +67,13 @@ def write_document(document: NamedDocument, path: Path) -> None:
             file.write(document.yaml)
     except OSError as error:
         raise UsageError(f'--yaml {path}: cannot be written: {error.strerror}') from error
+
+
+def picture_sources(words: Sequence[str]) -> tuple[str | None, tuple[Path, ...]]:
+    """The program that one word names, or the folders of labelled images; shipped names first."""
+    if len(words) == 1 and (words[0] in known_programs() or not Path(words[0]).is_dir()):
+        return words[0], ()
+    return None, tuple(map(Path, words))
 
 
 def words(text: str) -> tuple[str, ...]:

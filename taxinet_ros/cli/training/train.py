@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.options import PicturesArgument, VariedOption, refuse_given
+from taxinet_ros.cli.completion import complete_program
+from taxinet_ros.cli.options import VariedOption, refuse_given
 from taxinet_ros.cli.show import line_console
 from taxinet_ros.files.outputs import check_output
 
@@ -25,15 +26,17 @@ def train(
             metavar='NAME.safetensors', writable=True, dir_okay=False, help='weights file to write'
         ),
     ],
-    program: PicturesArgument = None,
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(help='folder of labelled images instead of a program; repeatable'),
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar='SCENARIO|DIR', autocompletion=complete_program,
+            help='program to render pictures of, or folders of labelled images',
+        ),
     ] = None,
     place: Annotated[
         list[str] | None,
         typer.Option(
-            help='train at places instead of with a program: random:0-299, or one of any kind; '
+            help='train at places instead: random:0-299, or one of any kind; '
             'repeatable'
         ),
     ] = None,
@@ -115,18 +118,20 @@ def train(
 
     Writes weights, model card and learning curves; until then NAME.part, for --resume.
     """
+    from taxinet_ros.cli.training.pictures import picture_sources
     from taxinet_ros.training.data.portions import parse_portion
     from taxinet_ros.training.options import TrainOptions
 
-    if data and program is None and not place:
-        why = 'for rendered scenes; with --data every image is used, leave it out'
+    program, data = picture_sources(sources or ())
+    if data and not place:
+        why = 'for rendered scenes; of folders every image is used, leave it out'
         refuse_given(context, ('images', 'sampler'), why)
     if validation_data is not None:
         why = 'with --validation-data all of its images are used; leave one out'
         refuse_given(context, ('validation',), why)
     run_train(TrainOptions(
         program=program, places=tuple(place or ()), view=view,
-        architecture=architecture, data=tuple(data or ()),
+        architecture=architecture, data=data,
         validation_data=validation_data, out=out,
         sampler=sampler, validation_program=validation_program, start=start,
         add=(

@@ -293,7 +293,7 @@ def covering_doubts(aircraft: AircraftModel, camera: CameraModel) -> list[str]:
         return []
     return [
         f'camera {camera.reference}: the aircraft itself ({aircraft.reference}) covers '
-        f'{100 * share:.0f} % of the picture; taxinet camera show draws it'
+        f'{100 * share:.0f} % of the picture; taxinet camera draws it'
     ]
 
 

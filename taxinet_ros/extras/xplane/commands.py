@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+import os
 
 import typer
 
@@ -16,25 +15,19 @@ app = command_group('X-Plane as camera and as world.')
 
 
 @app.command('doctor')
-def xplane_doctor(
-    setup: Annotated[
-        Path | None,
-        typer.Option(metavar='FILE.yaml', help='where X-Plane is and how it is used; else that of '
-        'TAXINET_XPLANE, else the defaults'),
-    ] = None,
-) -> None:
+def xplane_doctor() -> None:
     """Check what a run with X-Plane relies on, in a line each.
 
     X-Plane has to run, with an aircraft on the ground near the runway. It is paused, its aircraft
-    is placed, driven for a second, and released.
+    is placed, driven for a second, and released. TAXINET_XPLANE names the YAML file that says where
+    it is and how it is used.
 
     Exit code 4 if something does not work.
     """
     from taxinet_ros.extras.xplane.doctor import findings
-    from taxinet_ros.extras.xplane.setup import VARIABLE, chosen_setup, read_setup
+    from taxinet_ros.extras.xplane.setup import VARIABLE, chosen_setup
 
-    chosen = chosen_setup() if setup is None else read_setup(setup)
-    where = setup or f'{VARIABLE} or its defaults'
+    chosen, where = chosen_setup(), os.environ.get(VARIABLE) or 'the defaults'
     print(f'ok   setup     {chosen.wire} at {chosen.host}:{chosen.port}, of {where}', flush=True)
     bad = False
     for found in findings(chosen):

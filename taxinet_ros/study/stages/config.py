@@ -113,27 +113,6 @@ def scaled(config: StudyConfig, scale: float) -> StudyConfig:
     )
 
 
-def resized(
-    config: StudyConfig, *, runs: int | None, images: int | None, workers: int | None
-) -> StudyConfig:
-    """Replace individual sizes of a study.
-
-    Args:
-        config: the study.
-        runs: number of evaluation runs of every network, or None.
-        images: number of images in every training, or None; the validation share is kept.
-        workers: number of concurrent processes, or None.
-    """
-    if runs is not None:
-        config = dataclasses.replace(config, runs=runs)
-    if images is not None:
-        held_back = max(1, round(images * config.validation / config.images))
-        config = dataclasses.replace(config, images=images, validation=held_back)
-    if workers is not None:
-        config = dataclasses.replace(config, workers=workers)
-    return config
-
-
 SHIPPED = 'case_study.yaml'
 _LEARNERS = ('ce', 'ce-verifai', 'mab')
 """Samplers that write a learned distribution as a program."""

@@ -156,7 +156,7 @@ def test_ros1_given_a_recording_when_split_then_every_bag_is_whole_and_the_same_
         assert all(topic.equal for topic in compare_bags(own, new))
         assert open_recording(new).plain
         assert open_recording(new).run == open_recording(own).run
-        assert taxinet('bag', 'doctor', new)[0] == 0
+        assert taxinet('doctor', new)[0] == 0
     code, _, err = taxinet('bag', 'split', both, '--out', tmp_path / 'runs')
     assert (code, len(err.splitlines())) == (2, 1)
 
@@ -175,7 +175,7 @@ def test_ros1_given_two_runs_when_asked_for_information_then_both_are_told(both,
 def test_ros14_given_a_recording_by_the_wall_clock_with_silent_topics_then_doctor_finds_nothing(
     both, taxinet
 ):
-    code, out, _ = taxinet('bag', 'doctor', both)
+    code, out, _ = taxinet('doctor', both)
     assert code == 0, out
     assert out.splitlines()[-1] == 'nothing is wrong'
     assert f'{BAD.name}: 121 control steps, every topic in each' in out
@@ -189,7 +189,7 @@ def test_ros14_given_a_recording_that_lost_a_message_then_doctor_says_which(
     lost, expected, tmp_path, taxinet
 ):
     kept = heard([GOOD], keep=lambda m: (m.topic.name, m.stamp_ns) != lost)
-    code, out, _ = taxinet('bag', 'doctor', record(tmp_path / 'lossy', kept))
+    code, out, _ = taxinet('doctor', record(tmp_path / 'lossy', kept))
     assert code == 3
     assert expected in out
 
@@ -275,7 +275,7 @@ def test_ros1_attack_given_steps_that_come_twice_or_go_back_then_no_verdict_pass
         assert code == 3, name
         assert 'INCOMPLETE' in out
         assert word in out
-        assert taxinet('bag', 'doctor', bag)[0] == 3, name
+        assert taxinet('doctor', bag)[0] == 3, name
 
 
 def test_ros1_attack_given_absurd_stamps_then_info_names_them(tmp_path, taxinet):
@@ -292,7 +292,7 @@ def test_ros1_attack_given_a_run_without_truth_then_doctor_calls_nothing_of_it_j
 ):
     keep = ('/scenario', '/run_status', '/monitor/verdict')
     bag = record(tmp_path / 'blind', heard([GOOD], keep=lambda m: m.topic.name in keep))
-    _, out, _ = taxinet('bag', 'doctor', bag)
+    _, out, _ = taxinet('doctor', bag)
     assert '0 steps, bit for bit' not in out
 
 

@@ -45,7 +45,7 @@ def test_ros6_given_runs_by_the_wall_clock_then_each_is_told_judged_and_whole(na
     verdicts = [one['verdicts'][0] for one in judged['bags']]
     assert [one['verdict'] for one in verdicts] == [*runs.values()]
     assert all(one['as_recorded'] for one in verdicts)
-    code, out, _ = taxinet('bag', 'doctor', bag)
+    code, out, _ = taxinet('doctor', bag)
     assert (code, out.splitlines()[-1]) == (0, 'nothing is wrong')
     for run in runs:
         assert f'{run}: {STEPS} control steps, every topic in each' in out
@@ -58,7 +58,7 @@ def test_ros6_given_topics_without_a_message_then_the_description_alone_tells_of
     described = (bag / 'metadata.yaml').read_text()
     assert all(f'name: {topic}\n' in described for topic in SILENT)
     assert SILENT.isdisjoint(topic.name for topic in open_recording(bag).info.topics)
-    code, out, _ = taxinet('bag', 'doctor', bag)
+    code, out, _ = taxinet('doctor', bag)
     assert (code, 'nothing is wrong' in out) == (0, True)
 
 
@@ -78,7 +78,7 @@ def test_ros6_given_a_run_of_either_recorder_then_they_compare_export_and_split_
     new = tmp_path / 'runs' / OURS.name
     assert all(topic.equal for topic in compare_bags(OURS, new))
     assert open_recording(new).plain
-    assert taxinet('bag', 'doctor', new)[0] == 0
+    assert taxinet('doctor', new)[0] == 0
 
 
 def test_ros6_given_the_simulators_clock_then_the_first_run_lacks_its_beginning_and_the_next_not(
@@ -90,7 +90,7 @@ def test_ros6_given_the_simulators_clock_then_the_first_run_lacks_its_beginning_
     assert 'sim_time near-00000  near  INCOMPLETE' in out
     assert 'begins at 0.7 s: earlier steps were not recorded' in out
     assert 'sim_time far-00000  near  VIOLATED    rho    -2.000' in out
-    code, out, _ = taxinet('bag', 'doctor', bag)
+    code, out, _ = taxinet('doctor', bag)
     assert code == 3
     assert f'ok   lockstep    far-00000: {STEPS} control steps, every topic in each' in out
     assert f'BAD  lockstep    near-00000: {STEPS} control steps, every topic in each' in out
@@ -99,7 +99,7 @@ def test_ros6_given_the_simulators_clock_then_the_first_run_lacks_its_beginning_
 def test_ros6_given_a_recorder_that_was_too_slow_then_no_verdict_and_the_steps_by_number(taxinet):
     code, told = document(taxinet, 'monitor', GENUINE / 'lossy')
     assert (code, told['bags'][0]['verdicts'][0]['verdict']) == (3, 'INCOMPLETE')
-    code, out, _ = taxinet('bag', 'doctor', GENUINE / 'lossy')
+    code, out, _ = taxinet('doctor', GENUINE / 'lossy')
     assert code == 3
     assert 'step 0-20: without' in out
 
@@ -141,7 +141,7 @@ def test_ros6_given_a_file_that_was_unpacked_beside_itself_then_it_is_read_and_n
     packed = bag / 'file_0.mcap.zstd'
     raw = zstandard.ZstdDecompressor().decompressobj().decompress(packed.read_bytes())
     packed.with_suffix('').write_bytes(raw)
-    code, out, _ = taxinet('bag', 'doctor', bag)
+    code, out, _ = taxinet('doctor', bag)
     assert (code, out.splitlines()[-1]) == (0, 'nothing is wrong')
     # A recorder that is killed has packed all of its files but the last.
     shutil.copy(packed, bag / 'file_1.mcap.zstd')

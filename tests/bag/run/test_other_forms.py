@@ -102,7 +102,7 @@ def test_given_topics_of_another_form_then_no_command_refuses_the_bag(
 ) -> None:
     bag = rewritten(whole, tmp_path / 'x.mcap', extra=EXTRA[form])
     for words in (
-        ('bag', 'info', bag), ('monitor', bag), ('bag', 'doctor', bag),
+        ('bag', 'info', bag), ('monitor', bag), ('doctor', bag),
         ('bag', 'compare', bag, bag), ('bag', 'split', bag, '--out', tmp_path / 'runs'),
         ('bag', 'export', bag, '--out', tmp_path / 'table.csv'),
         ('bag', 'export', bag, '--out', tmp_path / 'tables'),
@@ -119,7 +119,7 @@ def test_given_a_recorder_without_checksums_then_every_command_says_so(
     assert open_recording(whole).info.unchecked == ''
     bag = rewritten(whole, tmp_path / 'x.mcap', enable_crcs=False)
     for words in (
-        ('monitor', bag), ('bag', 'info', bag), ('bag', 'doctor', bag),
+        ('monitor', bag), ('bag', 'info', bag), ('doctor', bag),
         ('bag', 'recover', bag, '--out', tmp_path / 'saved'),
     ):
         code, out, _ = taxinet(*words)

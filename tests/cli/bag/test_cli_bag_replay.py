@@ -39,7 +39,7 @@ def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxi
     code, out, _ = taxinet('bag', 'render', again, '--out', tmp_path / 'new')
     assert (code, out.split(' into ')[0]) == (0, '11 frames rendered')
     assert read_info(again).counts.get(IMAGE) is None
-    assert taxinet('bag', 'doctor', tmp_path / 'new')[0] == 0
+    assert taxinet('doctor', tmp_path / 'new')[0] == 0
     code, out, _ = taxinet('bag', 'render', tmp_path / 'new')
     assert (code, out.split(':')[0]) == (0, 'nothing to do')
     code, _, err = taxinet('bag', 'render', tmp_path / 'new', '--out', 'newer')

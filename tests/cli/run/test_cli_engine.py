@@ -204,7 +204,7 @@ def test_given_an_interrupt_then_what_is_recorded_is_complete_and_can_be_resumed
     (['run', *SCENES, '--foxglove', '8765'], '--foxglove: not with --engine loop'),
     (['run', '--from', 'somewhere'], '--from: --engine: a rerun is always made on the graph'),
     (['falsify', 'nominal', '--perception', 'external'], 'perception external is a node'),
-    (['falsify', 'nominal', '--controller-cmd', 'mine'], 'controller cmd:mine is a node'),
+    (['falsify', 'nominal', '--controller', 'cmd:mine'], 'controller cmd:mine is a node'),
     (['falsify', *SCENES, '--audit', 'all'], 'audit all: expected a percentage'),
 ])
 def test_given_what_needs_a_graph_then_one_line_names_it_and_nothing_is_left_behind(

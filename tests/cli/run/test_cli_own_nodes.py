@@ -26,6 +26,7 @@ PERCEPTION, CONTROLLER = (
     shlex.join([sys.executable, str(EXAMPLES / name)])
     for name in ('my_perception_package/my_perception_package/perception.py', 'own_controller.py')
 )
+NODES = ('--perception', f'cmd:{PERCEPTION}', '--controller', f'cmd:{CONTROLLER}')
 SHORT = ('--images', 'none', '--set', 'duration=1')
 
 pytestmark = [pytest.mark.nightly, pytest.mark.ros]
@@ -89,7 +90,7 @@ def folder(tmp_path_factory) -> Path:
     (folder / 'mine.py').write_text(MINE)
     for out, words in {
         'p': ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer'),
-        'n': ('--perception-cmd', PERCEPTION, '--controller-cmd', CONTROLLER),
+        'n': NODES,
         't': ('--perception', 'truth', '--controller', 'mine.py:steer'),
     }.items():
         done = taxinet('run', 'nominal', *words, *SHORT, '--runs', '2', '--out', out, cwd=folder)
@@ -151,7 +152,7 @@ def test_given_nodes_then_they_are_named_as_they_name_themselves(folder):
 
 @pytest.mark.parametrize(('campaign', 'words'), [
     ('p', ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer')),
-    ('n', ('--perception-cmd', PERCEPTION, '--controller-cmd', CONTROLLER, '--processes')),
+    ('n', (*NODES, '--processes')),
 ])
 def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, campaign, words):
     bag = f'{campaign}/nominal-s0-00000'
@@ -168,9 +169,7 @@ def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, ca
      "own controller is 'python' of sha256"),
     (('explain', 'n/nominal-s0-00000'), "own perception is 'bright paint', not a shipped one"),
     (('evaluate', 'nominal', '--perception', 'external'), 'is a node of a graph'),
-    (('run', 'nominal', '--perception', 'truth', '--perception-cmd', 'x'),
-     '--perception: cannot be combined with --perception-cmd'),
-    (('run', 'nominal', '--perception-cmd', 'no_such_program'),
+    (('run', 'nominal', '--perception', 'cmd:no_such_program'),
      'perception: no_such_program: no such program'),
     (('run', 'nominal', '--controller', 'mine.py:steer', '--set', 'steering.heading_gain=1'),
      'steering.heading_gain: gains apply only'),
@@ -261,7 +260,7 @@ def test_given_a_search_with_nodes_then_each_worker_has_its_own_and_none_is_left
     folder, controller
 ):
     command = shlex.join([sys.executable, str(controller)])
-    words = ('s_falsif', '--controller-cmd', command, '--perception', 'mine.py:Guess', *SHORT)
+    words = ('s_falsif', '--controller', f'cmd:{command}', '--perception', 'mine.py:Guess', *SHORT)
     done = taxinet(
         'falsify', *words, '--runs', '3', '--sampler', 'random', '--workers', '2', '--out', 'w',
         cwd=folder,
@@ -274,7 +273,7 @@ def test_given_a_search_with_nodes_then_each_worker_has_its_own_and_none_is_left
 def test_given_a_killed_campaign_then_its_nodes_end_too(folder, controller):
     program = shlex.join([sys.executable, str(controller)])
     command = shlex.join(['sh', '-c', f'{program} "$@"; true', 'sh'])  # has a child, as ros2 run
-    words = ('run', 'nominal', '--perception', 'truth', '--controller-cmd', command)
+    words = ('run', 'nominal', '--perception', 'truth', '--controller', f'cmd:{command}')
     with begun(*words, '--out', 'k', cwd=folder) as process:
         while not running(controller):
             assert process.poll() is None
@@ -290,7 +289,8 @@ def test_given_a_killed_campaign_then_its_nodes_end_too(folder, controller):
 ])
 def test_given_a_node_that_dies_then_it_is_named_with_its_last_words(folder, program, says):
     command, out = shlex.join([sys.executable, '-c', program]), f'd{len(says)}'
-    done = taxinet('run', 'nominal', '--perception-cmd', command, *SHORT, '--out', out, cwd=folder)
+    words = ('--perception', f'cmd:{command}', *SHORT)
+    done = taxinet('run', 'nominal', *words, '--out', out, cwd=folder)
     assert done.returncode == 4
     assert f'died perception: {says}' in done.stdout
 
@@ -300,7 +300,7 @@ def test_a_node_with_an_int_in_a_float_field_ends_the_run_and_names_field_and_ty
     assert program.count(', angle)), 5.0') == 1
     (folder / 'ints.py').write_text(program.replace(', angle)), 5.0', ', angle)), 5'))
     command = shlex.join([sys.executable, 'ints.py'])
-    words = ('--perception', 'truth', '--controller-cmd', command, *SHORT)
+    words = ('--perception', 'truth', '--controller', f'cmd:{command}', *SHORT)
     done = taxinet('run', 'nominal', *words, '--out', 'ints', cwd=folder)
     assert done.returncode == 4
     assert 'INFRA_ERROR died steering_controller: exit code 1: AssertionError: ' \
@@ -310,7 +310,7 @@ def test_a_node_with_an_int_in_a_float_field_ends_the_run_and_names_field_and_ty
 def test_given_a_command_that_starts_what_has_a_session_of_its_own_then_that_ends_too(folder):
     other = f'setsid sh -c "while :; do sleep 1; done # {folder}" &'
     command = shlex.join(['sh', '-c', f'{other} exec {CONTROLLER} "$@"', 'sh'])
-    words = ('--perception', 'truth', '--controller-cmd', command, *SHORT)
+    words = ('--perception', 'truth', '--controller', f'cmd:{command}', *SHORT)
     assert taxinet('run', 'nominal', *words, '--out', 'o', cwd=folder).returncode in (0, 1)
     left = [one for one in psutil.process_iter() if str(folder) in ' '.join(words_of(one))]
     assert not left

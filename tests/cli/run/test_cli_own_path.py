@@ -22,7 +22,7 @@ pytestmark = pytest.mark.ros
 
 def test_given_nodes_of_ones_own_then_they_drive_a_run_that_ends_with_a_verdict(tmp_path):
     done = taxinet(
-        'run', 'nominal', '--perception-cmd', PERCEPTION, '--controller-cmd', CONTROLLER,
+        'run', 'nominal', '--perception', f'cmd:{PERCEPTION}', '--controller', f'cmd:{CONTROLLER}',
         '--images', 'none', '--set', 'duration=1', '--out', 'own', cwd=tmp_path,
     )
     assert done.returncode in (0, 1), done.stdout + done.stderr

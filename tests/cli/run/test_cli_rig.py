@@ -1,4 +1,4 @@
-"""``taxinet aircraft`` and ``camera show``; the aircraft and the camera of a scene."""
+"""``taxinet aircraft`` and ``camera``; the aircraft and the camera of a scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ field_of_view_deg: 80
 
 
 @pytest.mark.parametrize(('words', 'names'), [
-    (('aircraft',), AIRCRAFT.shipped), (('camera', 'show'), CAMERAS.shipped),
+    (('aircraft',), AIRCRAFT.shipped), (('camera',), CAMERAS.shipped),
 ])
 def test_given_no_more_words_when_listed_then_every_shipped_one_has_a_line(words, names):
     done = taxinet(*words)
@@ -53,7 +53,7 @@ def test_given_an_aircraft_when_shown_twice_then_it_is_drawn_in_the_same_bytes(t
 def test_given_a_camera_when_shown_then_its_lens_is_told_and_its_view_drawn(tmp_path):
     (tmp_path / 'mine.yaml').write_text(CAMERA)
     done = taxinet(
-        'camera', 'show', tmp_path / 'mine.yaml', '--aircraft', 'c172p', '--out',
+        'camera', tmp_path / 'mine.yaml', '--aircraft', 'c172p', '--out',
         tmp_path / 'view.png',
     )
     assert done.returncode == 0, done.stderr
@@ -67,18 +67,18 @@ def test_a_shipped_camera_written_as_yaml_makes_the_same_frame_and_a_changed_one
     tmp_path
 ):
     own, frames = tmp_path / 'own.yaml', []
-    show = 'camera', 'show', 'wing', '--out', tmp_path / 'view.png', '--yaml', own
+    show = 'camera', 'wing', '--out', tmp_path / 'view.png', '--yaml', own
     done = taxinet(*show)
     assert done.returncode == 0, done.stderr
     assert 'mount       0.085 m forward, 2.17 m right, 0.5 m up from the centre' in done.stdout
     assert 'aircraft_parts: by_hand' in done.stdout
     for camera in ('wing', own):
         frames.append(tmp_path / f'{len(frames)}.png')
-        done = taxinet('camera', 'frame', '--set', f'camera={camera}', '--out', frames[-1])
+        done = taxinet('frame', '--set', f'camera={camera}', '--out', frames[-1])
         assert (done.returncode, done.stderr) == (0, '')
     assert frames[0].read_bytes() == frames[1].read_bytes()
     own.write_text(own.read_text().replace('by_hand', 'outline').replace('10.42', '10.4'))
-    done = taxinet('camera', 'frame', '--set', f'camera={own}', '--out', tmp_path / 'covered.png')
+    done = taxinet('frame', '--set', f'camera={own}', '--out', tmp_path / 'covered.png')
     assert 'the aircraft itself (caravan) covers 94 % of the picture' in done.stderr
     assert done.stderr.count('\n') == 1
     (tmp_path / 'view.png').unlink()
@@ -90,7 +90,7 @@ def test_given_a_camera_when_a_frame_is_rendered_then_it_is_as_large_as_the_came
 ):
     (tmp_path / 'mine.yaml').write_text(CAMERA)
     done = taxinet(
-        'camera', 'frame', '--set', f'camera={tmp_path / "mine.yaml"}', '--set', 'aircraft=c172p',
+        'frame', '--set', f'camera={tmp_path / "mine.yaml"}', '--set', 'aircraft=c172p',
         '--out', tmp_path / 'frame.png',
     )
     assert done.returncode == 0, done.stderr

@@ -38,7 +38,7 @@ def test_given_a_dataset_then_a_network_is_trained_on_it_and_measured_on_it(
     assert len(table) == len(list(Path('set/images').iterdir())) == 8
 
     code, out, err = call(
-        capsys, 'train', '--data', 'set', '--validation', '3', '--epochs', '2', '--batch', '2',
+        capsys, 'train', 'set', '--validation', '3', '--epochs', '2', '--batch', '2',
         '--augment', '--out', 'net.safetensors',
     )
     assert (code, err) == (0, '')
@@ -47,7 +47,7 @@ def test_given_a_dataset_then_a_network_is_trained_on_it_and_measured_on_it(
         '.csv', '.json', '.png', '.safetensors'
     ]
 
-    words = ['evaluate', '--data', 'set', '--perception', 'net.safetensors']
+    words = ['evaluate', 'set', '--perception', 'net.safetensors']
     facts = json.loads(call(capsys, *words, '--json')[1])
     (whole,) = facts['slices']
     assert (whole['name'], whole['images'], whole['without_estimate']) == ('all', 8, 0)
@@ -71,7 +71,7 @@ def test_given_a_network_with_a_flipped_sign_when_measured_then_a_line_says_so(
             'class Eyes:\n    seen = -1\n    def __call__(self, image):\n        self.seen += 1\n'
             f'        return {sign}self.seen, 0.0\n'
         )
-    words = ['evaluate', '--data', 'set', '--perception']
+    words = ['evaluate', 'set', '--perception']
     code, out, err = call(capsys, *words, 'right.py:Eyes')
     assert (code, err) == (0, '')
     assert (

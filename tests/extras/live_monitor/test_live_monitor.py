@@ -304,7 +304,7 @@ def test_given_a_type_that_is_no_message_here_then_nothing_of_it_is_imported(nam
 
 
 def start(domain: int, *parameters: str) -> subprocess.Popen[str]:
-    words = [str(Path(sys.prefix, 'bin', 'taxinet')), 'live-monitor', '--ros-args']
+    words = [str(Path(sys.prefix, 'bin', 'taxinet')), 'node', 'live_monitor', '--ros-args']
     for parameter in parameters:
         words += ['-p', parameter]
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}

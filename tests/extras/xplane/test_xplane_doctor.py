@@ -82,8 +82,9 @@ def test_the_command(sim, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv('DISPLAY', raising=False)
     path = tmp_path / 'xplane.yaml'
     path.write_text(f'port: {sim.web_port}\nsettle_s: 0\ntimeout_s: 30\n')
+    monkeypatch.setenv('TAXINET_XPLANE', str(path))
     with pytest.raises(typer.Exit) as ended:
-        xplane_doctor(path)
+        xplane_doctor()
     assert ended.value.exit_code == ExitCode.INFRA
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f'ok   setup     web at 127.0.0.1:{sim.web_port}, of {path}'
@@ -97,8 +98,8 @@ def test_the_command_without_x_plane(tmp_path):
     path = tmp_path / 'xplane.yaml'
     path.write_text('port: 1\n')
     done = subprocess.run(
-        [Path(sys.executable).with_name('taxinet'), 'xplane', 'doctor', '--setup', path],
-        capture_output=True, text=True,
+        [Path(sys.executable).with_name('taxinet'), 'xplane', 'doctor'],
+        capture_output=True, text=True, env={**os.environ, 'TAXINET_XPLANE': str(path)},
     )
     assert done.returncode == ExitCode.INFRA
     assert 'BAD  answer    not_ready: web API at 127.0.0.1:1: nothing listens there' in done.stdout

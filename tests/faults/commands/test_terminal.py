@@ -161,7 +161,7 @@ def test_r3_given_an_end_of_a_standing_graph_then_all_end_even_a_node_that_hears
     (tmp_path / 'deaf.py').write_text(DEAF)
     command = shlex.join([sys.executable, 'deaf.py', str(PERCEPTION)])
     deaf = end == 'once'
-    perception = ('--perception-cmd', command) if deaf else ('--perception', 'truth')
+    perception = ('--perception', f'cmd:{command}') if deaf else ('--perception', 'truth')
     with standing(tmp_path, *perception) as (terminal, pids, place):
         make_end(terminal)
         ended(terminal, pids)

@@ -14,7 +14,6 @@ from taxinet_ros.files.plain_values import typed
 from taxinet_ros.study.stages.config import (
     StudyConfig,
     read_config,
-    resized,
     scaled,
     shipped_config,
 )
@@ -119,12 +118,6 @@ def test_given_scales_then_epochs_are_all_there_from_a_tenth_on():
 def test_given_no_scale_at_all_then_it_is_refused(scale):
     with pytest.raises(UsageError, match=r'scale .*: needs to be above 0'):
         scaled(SHIPPED, scale)
-
-
-def test_given_sizes_outright_then_they_hold_and_as_large_a_share_is_held_back():
-    own = resized(SHIPPED, runs=7, images=800, workers=1)
-    assert (own.runs, own.images, own.validation, own.workers) == (7, 800, 100, 1)
-    assert own.learning_runs == SHIPPED.learning_runs
 
 
 def test_given_a_study_that_was_begun_then_its_numbers_come_back(tmp_path):
