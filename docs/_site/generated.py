@@ -27,6 +27,7 @@ from taxinet_ros.trials.record.row import ATTRIBUTES, RunRow
 from taxinet_ros.trials.record.table import table
 
 ROOT = Path(__file__).resolve().parents[2]
+LIVE_MONITOR = 'taxinet_ros.extras.live_monitor.node'
 
 
 def other_pages() -> str:
@@ -137,7 +138,8 @@ def _fields(text: str) -> tuple[str, list[list[str]]]:
 
 def parameters() -> str:
     """Every node with its topics and parameters, from what it declares."""
-    return '\n'.join(_node(importlib.import_module(module)) for module in NODES.values())
+    modules = [*(f'taxinet_ros.nodes.{name}' for name in NODES), LIVE_MONITOR]
+    return '\n'.join(_node(importlib.import_module(module)) for module in modules)
 
 
 def _node(module: ModuleType) -> str:

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
 
 from taxinet_ros.errors import ExitCode, UsageError
 
-NODES: Mapping[str, str] = {
-    name: f'taxinet_ros.nodes.{name}' for name in (
-        'simulator', 'taxinet_perception', 'ground_truth_perception', 'steering_controller',
-        'mtl_monitor', 'runtime_monitor', 'scenario_sampler', 'recorder', 'bag_player',
-        'scene_markers', 'foxglove_server',
-    )
-} | {'live_monitor': 'taxinet_ros.extras.live_monitor.node'}
-"""Modules of the nodes by name."""
+NODES = (
+    'simulator',
+    'taxinet_perception',
+    'ground_truth_perception',
+    'steering_controller',
+    'mtl_monitor',
+    'runtime_monitor',
+    'scenario_sampler',
+    'recorder',
+    'bag_player',
+    'scene_markers',
+    'foxglove_server',
+)
+_OF_EXTRAS = {'live_monitor': 'taxinet_ros.extras.live_monitor.node'}
 
 
 def start_node(name: str, arguments: Sequence[str]) -> None:
@@ -27,10 +33,11 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     Raises:
         UsageError: no such node.
     """
-    if name not in NODES:
-        raise UsageError(f'unknown node {name!r}; known: {", ".join(NODES)}')
+    known = (*NODES, *_OF_EXTRAS)
+    if name not in known:
+        raise UsageError(f'unknown node {name!r}; known: {", ".join(known)}')
     sys.argv = [name, *arguments]
-    importlib.import_module(NODES[name]).main()
+    importlib.import_module(_OF_EXTRAS.get(name, f'taxinet_ros.nodes.{name}')).main()
 
 
 def node(
