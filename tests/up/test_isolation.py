@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 import subprocess
 import threading
 from pathlib import Path
@@ -133,8 +134,7 @@ def standing(tmp_path):
 
 def first_choice(number: int, monkeypatch) -> None:
     """Have graphs try one domain first, and then the others in turn."""
-    others = itertools.cycle(n for n in range(1, 101) if n != number)
-    monkeypatch.setattr(domain, '_domains', itertools.chain([number], others))
+    monkeypatch.setattr(domain, '_graphs', itertools.count(number - 1 - os.getpid()))
 
 
 def test_f5_given_a_graph_that_reserves_nothing_then_its_domain_is_passed_over(

@@ -52,8 +52,9 @@ NAMELESS = '_NODE_NAME_UNKNOWN_'
 _NAME_WAIT_S, _NAME_PERIOD_S = 0.5, 0.02
 _CHOICE = 100
 """Number of domains to choose from: Linux assigns the ports of higher ones dynamically."""
-# Each graph starts its search after the previous one's domain, to avoid remains of its predecessor.
-_domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
+# Each graph starts its search after the previous one's domain, to avoid remains of its predecessor,
+# and each process, forked ones too, elsewhere.
+_graphs = itertools.count()
 # DDSI-RTPS 2.2, section 9.6.1.1: first port of domain 0, number of ports per domain, offset of the
 # unicast ports. Each participant of a machine takes the next two.
 _BASE, _PER_DOMAIN, _OF_NODES, _MOST_NODES = 7400, 250, 10, 20
@@ -220,7 +221,8 @@ def _free() -> Iterator[tuple[int, bool]]:
     """Choose and reserve a domain, then check that it is free."""
     for _ in range(_CHOICE):
         with contextlib.ExitStack() as stack:
-            domain, reserved = stack.enter_context(_reserved(next(_domains)))
+            number = 1 + (os.getpid() + next(_graphs)) % _CHOICE
+            domain, reserved = stack.enter_context(_reserved(number))
             if reserved and not in_use(domain):
                 yield domain, True
                 return

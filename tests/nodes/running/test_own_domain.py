@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import socket
 
 import pytest
@@ -57,8 +58,17 @@ def test_t17_domain_by_hand_that_is_none_is_refused_before_a_search_begins(tmp_p
 
 def first_choice(number: int, monkeypatch) -> None:
     """Have graphs try one domain first, and then the others in turn."""
-    others = itertools.cycle(n for n in range(1, 101) if n != number)
-    monkeypatch.setattr(domain, '_domains', itertools.chain([number], others))
+    monkeypatch.setattr(domain, '_graphs', itertools.count(number - 1 - os.getpid()))
+
+
+def test_given_a_fork_of_this_process_then_it_begins_its_search_elsewhere(monkeypatch):
+    found = []
+    for process in (os.getpid(), os.getpid() + 50):
+        monkeypatch.setattr(os, 'getpid', lambda process=process: process)
+        monkeypatch.setattr(domain, '_graphs', itertools.count())
+        with own_domain() as number:
+            found.append(number)
+    assert found[0] != found[1]
 
 
 def test_f5_given_a_port_of_dds_that_another_program_has_then_that_domain_is_passed_over(
