@@ -85,7 +85,7 @@ def test_given_a_straight_drive_then_latency_is_unknown_and_cannot_be_taken_off(
 
 
 def test_given_estimates_that_do_not_follow_the_path_then_the_path_is_not_blamed(scored):
-    found = scored(Drive(seconds=30), perception='elsewhere')
+    found = scored(Drive(seconds=60), perception='elsewhere')
     assert found.latency.why == 'the estimates hardly follow the path'
 
 
