@@ -25,6 +25,7 @@ NODES = (
     'foxglove_server',
 )
 _OF_EXTRAS = {'live_monitor': 'taxinet_ros.extras.live_monitor.node'}
+"""Modules of nodes that take no part in a graph, by name."""
 
 
 def start_node(name: str, arguments: Sequence[str]) -> None:

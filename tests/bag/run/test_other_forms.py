@@ -36,7 +36,7 @@ def rewritten(
     """The bag as MCAP's own writer writes it, with other definitions and more in it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with source.open('rb') as old, path.open('wb') as new:
-        out = Writer(new, **writer)  # type: ignore[arg-type]
+        out = Writer(new, **writer)
         out.start(profile='ros2')
         extra(out)
         channels: dict[int, int] = {}
@@ -86,7 +86,7 @@ FORMS: dict[str, dict[str, object]] = {
 def test_given_a_legal_form_then_the_run_is_whole_judged_and_compared_as_before(
     form: str, whole: Path, tmp_path: Path
 ) -> None:
-    bag = rewritten(whole, tmp_path / 'x.mcap', **FORMS[form])  # type: ignore[arg-type]
+    bag = rewritten(whole, tmp_path / 'x.mcap', **FORMS[form])
     assert [(one.where, one.what) for one in check_bag(bag).findings] == []
     (judged,), (expected,) = judge_runs(bag), judge_runs(whole)
     assert judged.verdicts == expected.verdicts
