@@ -162,16 +162,7 @@ def domain_doubts(
     """
     if domain is None or not scenes:
         return []
-    trained = {**_OFFSETS, **domain}
-    # What is named is told by its name alone.
-    unnamed = {document for document, *_ in _NUMBERS.values() if document not in trained}
-    here = {**_OFFSETS, **domain_of_scenes(scenes, rounded=False, unnamed=unnamed)}
-    beyond = {
-        key: tuple(one for one in here[key] if key in _STEPS or one not in trained[key])
-        for key in DOMAIN_KEYS
-        if key in trained and key in here and not (key == WIDTH and PLACE.key in trained)
-        and _spread(key, (*trained[key], *here[key])) != _spread(key, trained[key])
-    }
+    trained, here, beyond = _compared(domain, scenes)
     if not beyond:
         return []
     verb = 'this scene has' if len(scenes) == 1 else 'scenes here have'
@@ -179,6 +170,47 @@ def domain_doubts(
         f'{network} was trained with {domain_words(trained, beyond)}; {verb} '
         f'{domain_words({**here, **beyond}, beyond)}'
     ]
+
+
+def _compared(
+    domain: Domain, scenes: Sequence[Mapping[str, Any]]
+) -> tuple[Domain, Domain, Domain]:
+    """A domain with all its keys, that of scenes, and what of theirs is outside it."""
+    trained = {**_OFFSETS, **domain}
+    # What is named is told by its name alone.
+    unnamed = {document for document, *_ in _NUMBERS.values() if document not in trained}
+    here = {**_OFFSETS, **domain_of_scenes(scenes, rounded=False, unnamed=unnamed)}
+    return trained, here, {
+        key: tuple(one for one in here[key] if key in _STEPS or one not in trained[key])
+        for key in DOMAIN_KEYS
+        if key in trained and key in here and not (key == WIDTH and PLACE.key in trained)
+        and _spread(key, (*trained[key], *here[key])) != _spread(key, trained[key])
+    }
+
+
+def usual_conditions(
+    domain: Domain | None, scenes: Sequence[Mapping[str, Any]], usual: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Sky, rain and hour that take scenes into a domain, by key; of what is in it, nothing.
+
+    Args:
+        domain: of a network; None if unknown.
+        scenes: as for :func:`domain_of_scenes`.
+        usual: values by key that are taken where the domain has them, else the first or the middle.
+    """
+    if domain is None or not scenes:
+        return {}
+    trained, _, beyond = _compared(domain, scenes)
+    found: dict[str, Any] = {}
+    for key in (SKY.key, RAIN.key, TIME_OF_DAY.key):
+        values, value = trained.get(key, ()), usual[key]
+        if key not in beyond:
+            continue
+        if key in _WORDS:
+            found[key] = value if value in values else values[0]
+        else:
+            found[key] = value if values[0] <= value <= values[-1] else sum(values) / 2
+    return found
 
 
 def domain_words(domain: Domain | None, keys: Iterable[str] = DOMAIN_KEYS) -> str:

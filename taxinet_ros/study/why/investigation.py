@@ -24,6 +24,7 @@ from taxinet_ros.analysis.causes.region import Region, part_of
 from taxinet_ros.analysis.fault_localisation import Blame
 from taxinet_ros.analysis.report.text import sentences
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
+from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.analysis.search.shrinking import TEXT
 from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.bag.run.recording import open_recording
@@ -32,7 +33,7 @@ from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.motion.controller import SteeringGains
 from taxinet_ros.core.mtl import Reading
 from taxinet_ros.core.mtl.lint import UNSATISFIABLE
-from taxinet_ros.core.perception.domain import domain_doubts
+from taxinet_ros.core.perception.domain import Domain, domain_doubts
 from taxinet_ros.core.perception.perception import (
     GroundTruth,
     check_perception,
@@ -76,6 +77,7 @@ from taxinet_ros.study.why.plan import (
     near_program,
     region_change,
     shrink_stage,
+    trained_change,
     why_no_experiment,
 )
 from taxinet_ros.study.why.verdict import (
@@ -192,9 +194,14 @@ class Investigation:
                 causes, self.path / causes[0].run_id, network, recorded_world(facts)[0], blames,
                 troubles,
             )
-            causes = self._tested(found, why_no_program(runs), causes, troubles)
+            scenes: Any = runs.scenes.to_dict('records')
+            causes = self._tested(
+                found, why_no_program(runs), causes, troubles,
+                trained_change(_domain_of(network), scenes),
+            )
         return replace(
             found, blames=blames, causes=causes, troubles=troubles, shrunk=self._shrunk(),
+            features=self._features(),
             unsatisfiable=unsatisfiable(
                 campaign.scenario(campaign.counterexamples[0])[0], campaign.judging,
                 dict(campaign.gains),
@@ -256,6 +263,12 @@ class Investigation:
 
     def _analysis(self) -> Mapping[str, Any]:
         return read_sealed(self.out / ANALYZE / 'analysis.json').values
+
+    def _features(self) -> str:
+        """Features of the scenes that tell whether a run fails, the most telling first; ''."""
+        found = self._analysis()
+        telling = [one['feature'] for one in found['ranking'] if one['p'] <= found['alpha']]
+        return ' and '.join(BY_NAME[name].title for name in telling[:2])
 
     def _blames(self, campaign: RecordedCampaign) -> Blames:
         """The trials by what is at fault; those of the controller by their first sample."""
@@ -328,9 +341,9 @@ class Investigation:
 
     def _tested(
         self, found: Evidence, why_not: str, causes: Sequence[CauseEvidence],
-        troubles: dict[str, str],
+        troubles: dict[str, str], trained: Change | None,
     ) -> tuple[CauseEvidence, ...]:
-        """Test the first causes on fresh scenes."""
+        """Test the first causes on fresh scenes; all failures by the network's training."""
         if found.settings is None or found.scenes is None:
             troubles[CONFIRM] = why_not
             return tuple(causes)
@@ -338,15 +351,19 @@ class Investigation:
         if why := why_no_experiment(found.settings, KMWH):
             troubles[CONFIRM] = why
             return tuple(causes)
-        return self._experiments(causes, found.settings, seed=found.seed, troubles=troubles)
+        return self._experiments(
+            causes, found.settings, seed=found.seed, troubles=troubles, trained=trained)
 
     def _experiments(
         self, causes: Sequence[CauseEvidence], settings: RunSettings, *, seed: int,
-        troubles: dict[str, str],
+        troubles: dict[str, str], trained: Change | None = None,
     ) -> tuple[CauseEvidence, ...]:
         """Run an experiment for each of the first causes, and read the results."""
         first = causes[:MOST_CAUSES]
-        changes = {cause.rank: self._change(cause) for cause in first}
+        changes = {
+            cause.rank: trained if trained and not cause.rank else self._change(cause)
+            for cause in first
+        }
         arms = {rank: arms_of(change, settings.perception) for rank, change in changes.items()}
         arms = {rank: number for rank, number in arms.items() if number > 1}
         if not arms:
@@ -528,12 +545,15 @@ def unsatisfiable(scenario: Scenario, judging: Judging, gains: Mapping[str, floa
 
 def _with_domain(found: Evidence, scenes: Sequence[Mapping[str, Any]]) -> Evidence:
     """The evidence, with how the scenes are outside what the network was trained in."""
+    outside = ''.join(domain_doubts(found.network, _domain_of(found.network), scenes))
+    elsewhere = network_elsewhere(scenes) if outside else ''
+    return replace(found, outside=outside, elsewhere=elsewhere)
+
+
+def _domain_of(network: str) -> Domain | None:
     with contextlib.suppress(UsageError):  # its file is gone
-        domain = find_domain(found.network)
-        outside = ''.join(domain_doubts(found.network, domain, scenes))
-        elsewhere = network_elsewhere(scenes) if outside else ''
-        return replace(found, outside=outside, elsewhere=elsewhere)
-    return found
+        return find_domain(network)
+    return None
 
 
 def _of_runs(runs: CampaignRuns, *, subject: str) -> Evidence:

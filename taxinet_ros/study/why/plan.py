@@ -7,7 +7,7 @@ controller file may have been named.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import yaml
 from taxinet_ros.analysis.causes.region import Interval, Kinds, Region
 from taxinet_ros.analysis.explain.counterfactual import Factor, factors, run_factors
 from taxinet_ros.bag.layout import storage_files
+from taxinet_ros.core.perception.domain import Domain, usual_conditions
 from taxinet_ros.core.renderer import OURS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import (
@@ -211,6 +212,24 @@ def region_change(region: Region) -> Change | None:
             values[part.feature] = absent[key].to_human(absent[key].absent)
             words.append(f'without {BY_KEY[part.feature].title}')
     return Change(words=', '.join(words), values=_possible(values)) if values else None
+
+
+def trained_change(
+    domain: Domain | None, scenes: Sequence[Mapping[str, Any]]
+) -> Change | None:
+    """The change of sky, rain and hour to what a network was trained in, if scenes are outside it.
+
+    Args:
+        domain: of the network; None if unknown.
+        scenes: values by key in human units.
+    """
+    usual = {'clouds': 'clear', 'rain_percent': 0.0, 'time_of_day_h': _TEN_H}
+    values = _possible(usual_conditions(domain, scenes, usual))
+    if not values or (values.get('rain_percent') and 'clouds' not in values):
+        return None  # rain needs clouds, which not all of these scenes have
+    said = ', '.join(f'{BY_KEY[key].label} {BY_KEY[key].value_words(one)}' for key, one in
+                     values.items())
+    return Change(words=f'in weather and light of its training ({said})', values=values)
 
 
 def _possible(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -206,6 +206,7 @@ class Evidence:
         single: whether the subject is one run.
         outside: how its scenes are outside what the network was trained in; ''.
         elsewhere: the shipped network that was trained for such scenes, then; ''.
+        features: on which it depends whether runs fail, although no cause was found; ''.
     """
 
     subject: str
@@ -230,6 +231,7 @@ class Evidence:
     single: bool = False
     outside: str = ''
     elsewhere: str = ''
+    features: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

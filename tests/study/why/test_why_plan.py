@@ -19,6 +19,7 @@ from taxinet_ros.study.why.plan import (
     experiment_text,
     near_program,
     region_change,
+    trained_change,
     why_no_experiment,
 )
 from taxinet_ros.trials.experiment import read_experiment
@@ -68,6 +69,22 @@ def test_given_a_region_then_the_change_takes_scenes_out_of_it():
     gust = Interval(feature='wind_speed_mps@5', low=9.0, high=None)
     assert region_change(Region(parts=(gust,))) == Change(
         words='without wind at 5 s', values={'wind_speed_mps@5': 0.0})
+
+
+def test_given_scenes_outside_a_networks_training_then_the_change_takes_them_into_it():
+    domain = {'clouds': ('cirrus', 'clear'), 'rain_percent': (0.0, 0.0)}
+    dry, wet = Scenario(clouds='stratus'), Scenario(clouds='stratus', rain_fraction=0.9)
+    change = trained_change(domain, [dry.to_human(), wet.to_human()])
+    assert change.values == {'clouds': 'clear', 'rain_percent': 0.0}
+    # The usual hour is outside of it, so the middle is taken.
+    early = {'time_of_day_h': (7.0, 9.0)}
+    assert trained_change(early, [dry.to_human()]) == Change(
+        words='in weather and light of its training (time of day 08:00)',
+        values={'time_of_day_h': 8.0})
+    assert trained_change(early, [Scenario(time_of_day_s=8 * 3600.0).to_human()]) is None
+    assert trained_change(None, [wet.to_human()]) is None
+    rainy = {'clouds': ('stratus', 'clear'), 'rain_percent': (50.0, 90.0)}
+    assert trained_change(rainy, [dry.to_human()]) is None
 
 
 def test_the_experiments_file_is_one_that_taxinet_experiment_reads(tmp_path):
