@@ -29,8 +29,9 @@ shipped one by its name, such as 'bikf_10', or the path of a YAML file). Short f
 unit (time_of_day, rain, duration) mean the same.
 
 Others on the ground are objects of the classes below Plane, each with its width, length, height [m]
-and colour. The solid ones may move, with one of the behaviors below; their speeds are in m/s, and
-they react to nothing.
+and colour. The solid ones may move, with one of the behaviors below, at speeds in m/s. With
+stands_within they stand while the aircraft is nearer than so many metres; with starts_within their
+way, and the delay, begin when it first is.
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are
@@ -59,18 +60,18 @@ class Plane(Object):
 
 
 # Moves along a path: straight from point to point, at one speed, to the end, where it stays.
-behavior FollowPath(path, speed, delay=0, wait=0):
+behavior FollowPath(path, speed, delay=0, wait=0, stands_within=None, starts_within=None):
     """`delay` seconds at the start, and `wait` seconds at each point of the path."""
     wait
 
 
 # Straight ahead, the way it faces.
-behavior GoStraight(speed, distance, delay=0):
+behavior GoStraight(speed, distance, delay=0, stands_within=None, starts_within=None):
     wait
 
 
 # Straight across to the same distance beyond the centreline.
-behavior CrossRunway(speed, delay=0):
+behavior CrossRunway(speed, delay=0, stands_within=None, starts_within=None):
     wait
 
 

@@ -163,6 +163,12 @@ def test_given_a_world_that_shows_nobody_else_then_a_scene_with_others_is_refuse
         find_world('empty').make(crowded)
     assert find_world('empty').make(tx.Scenario()).last_seq == 300
     assert find_world('busy').make(crowded).last_seq == 300
+    shy = tx.Scenario(traffic=tx.load_traffic([
+        {'kind': 'vehicle', 'x_m': 420, 'y_m': 3, 'stands_within_m': 9,
+         'path': [{'x_m': 420, 'y_m': -3, 'speed_mps': 3}]},
+    ]))
+    with pytest.raises(UsageError, match=r'busy-world 1\.2: objects\[0\] of traffic reacts to the'):
+        find_world('busy').make(shy)
 
 
 def lay_down_world(site: Path, body: str, first: str = '') -> None:

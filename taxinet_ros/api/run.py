@@ -480,16 +480,22 @@ def render(
             metres left of it, heading error in radians, left positive, with the attitude of a run's
             start; or a full
             :class:`AircraftState`.
-        t_s: simulated time [s], which moves clouds and rain.
+        t_s: simulated time [s], which moves clouds, rain and others on the ground; 0 where these
+            react to the aircraft.
 
     Returns:
         (200, 360, 3) uint8 RGB.
 
     Raises:
-        UsageError: the pose is outside the range of start poses, or the time is negative.
+        UsageError: the pose is outside the range of start poses, the time is negative, or others
+            react to the aircraft.
     """
     if not 0 <= t_s <= _MOST_S:
         raise UsageError(f'render: t_s is {t_s:g}; expected 0 to {_MOST_S:g} seconds')
+    if t_s and (reacting := scenario.others.reacting):
+        raise UsageError(
+            f'render: t_s: {reacting}: where it is at {t_s:g} s, only a run says; leave t_s out'
+        )
     if not isinstance(pose, AircraftState):
         start = scenario
         if pose is not None:

@@ -22,6 +22,7 @@ from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.motion import TrafficMotion
 from taxinet_ros.core.traffic.shapes import Outline, Points, hull, outlines
 from taxinet_ros.core.traffic.traffic import GroundObject, Pose
 from taxinet_ros.core.types import AircraftState, quaternion
@@ -36,7 +37,8 @@ class Clearance:
 
     def __init__(self, scenario: Scenario) -> None:
         """Take the objects that can be hit."""
-        self._objects = scenario.others.solids
+        self._traffic, self._objects = scenario.others, scenario.others.solids
+        self._motion = TrafficMotion(scenario.others, scenario.period_ns)
         self._aircraft = scenario.aircraft
         if self._objects:  # ahead of the first step, as it may take a second
             _own_parts(scenario.aircraft)
@@ -57,7 +59,9 @@ class Clearance:
         """Least distance in plan to anything that can be hit [m], 0 where one is touched.
 
         At most :data:`~taxinet_ros.core.mtl.specs.MOST_CLEARANCE_M`, also where nobody is; NaN
-        where the position is not finite, or the aircraft has no outline.
+        where the position is not finite, or the aircraft has no outline. Where others react to the
+        aircraft, it has to be called for each control step, in order: NaN from one on that was
+        left out.
 
         Args:
             stamp_ns: simulated time [ns].
@@ -67,16 +71,16 @@ class Clearance:
         """
         if not self._objects:
             return MOST_CLEARANCE_M
+        held = self._motion.step(stamp_ns, x_m, y_m)
         own_reach_m = _own_reach_m(self._aircraft)
-        if not all(map(math.isfinite, (x_m, y_m, own_reach_m, *attitude))):
+        if held is None or not all(map(math.isfinite, (x_m, y_m, own_reach_m, *attitude))):
             return math.nan
         x, y, z, w = attitude
         forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z)
         length = math.hypot(*forward)
         cos, sin = forward[0] / length, forward[1] / length
         bounds: list[tuple[float, int, GroundObject, Pose]] = []
-        for one in self._objects:
-            pose = one.pose_at(stamp_ns)
+        for one, pose in self._traffic.solids_at(stamp_ns, held):
             centre_m = math.hypot(pose.x_m - x_m, pose.y_m - y_m)
             bounds.append((centre_m - _reach_m(one) - own_reach_m, len(bounds), one, pose))
         least_m = MOST_CLEARANCE_M

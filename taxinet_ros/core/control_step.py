@@ -7,7 +7,7 @@ make them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.sensors import Measured
+from taxinet_ros.core.traffic.traffic import Holds
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.errors import UsageError
 
@@ -35,6 +36,7 @@ class Observation:
             (200, 360, 3); None if not requested.
         track: that is followed; None for the runway's centreline.
         measured: what has arrived of the other sensors; None if there are none.
+        held: of the others on the ground that react to the aircraft, how far it has held them.
     """
 
     seq: int
@@ -43,6 +45,7 @@ class Observation:
     image: NDArray[np.uint8] | None
     track: Track | None = None
     measured: Measured | None = None
+    held: Holds = field(default_factory=dict)
 
     @property
     def on_track(self) -> OnTrack:

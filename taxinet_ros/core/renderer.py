@@ -38,6 +38,7 @@ from taxinet_ros.core.scenario_fields import (
     TIME_OF_DAY,
     TRAFFIC,
 )
+from taxinet_ros.core.traffic.traffic import NOTHING_HELD, Holds
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.core.user_code import contained, find_user_code, names_user_code
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, near_miss
@@ -148,6 +149,11 @@ class ChosenRenderer:
                 f'{self.words}: does not show {", ".join(hidden)}, which would have no effect; '
                 f'leave it at its default (it shows {shown})'
             )
+        if reacting := scenario.others.reacting:
+            raise UsageError(
+                f'{self.words}: {reacting}, which only our camera shows; leave stands_within_m and '
+                'starts_within_m out'
+            )
 
 
 class ForeignCode:
@@ -217,8 +223,12 @@ class RunCamera(ForeignCode):
         well = scenario.without_faults(*FAULTS)
         self._camera: Any = self._call(lambda: renderer._make(well))
 
-    def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
+    def render(
+        self, state: AircraftState, stamp_ns: int, *, held: Holds = NOTHING_HELD
+    ) -> NDArray[np.uint8]:
         """As :meth:`Renderer.render`, checked, with the faults of lens and sensor.
+
+        ``held`` is empty, as others that react to the aircraft are refused.
 
         Raises:
             InfraError: there is no picture.

@@ -31,6 +31,8 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CONTROL_RATE, FAULTS
 from taxinet_ros.core.sensing import Sensing, check_rates, sensing_of
 from taxinet_ros.core.sensors import Measured
+from taxinet_ros.core.traffic.motion import TrafficMotion
+from taxinet_ros.core.traffic.traffic import Holds
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, near_miss
 from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, names, origin_words
@@ -128,7 +130,9 @@ class SimulatedWorld(World):
         )
         self._seq = 0
         self._track = scenario.line
-        self._shown = self._aircraft.state, 0
+        self._motion = TrafficMotion(scenario.others, self._period_ns)
+        self._held = self._hold()
+        self._shown = self._aircraft.state, 0, self._held
         self._sensing = sensing_of(scenario, self._period_ns, self._aircraft.state)
         self._aircraft.traced = self._sensing is not None and self._sensing.fast
 
@@ -153,21 +157,33 @@ class SimulatedWorld(World):
         else:
             self._aircraft = aircraft
         self._scenario = scenario
+        self._held = self._hold()
         self.__dict__.pop('_camera', None)
         self._steering = SteeringFaults(
             scenario, self._aircraft.max_steering_rad, self._period_ns, wheel_rad
         )
         if shown_step(scenario, self._seq, self._period_ns) == self._seq:
-            self._shown = self._aircraft.state, self._seq * self._period_ns
+            self._shown = self._aircraft.state, self._seq * self._period_ns, self._held
+
+    def _hold(self) -> Holds:
+        """Which others the aircraft holds where it is at the current step."""
+        at = self._aircraft.state
+        held = self._motion.step(self._seq * self._period_ns, at.x_m, at.y_m)
+        if held is None:
+            raise InfraError(InfraKind.SIM, 'simulator', self._seq, f'the aircraft is at {at}')
+        return held
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
         stamp_ns = self._seq * self._period_ns
-        image = self._camera.render(*self._shown) if picture and self._pictures else None
+        image = None
+        if picture and self._pictures:
+            state, seen_ns, held = self._shown
+            image = self._camera.render(state, seen_ns, held=held)
         return Observation(
             seq=self._seq, stamp_ns=stamp_ns, state=self._aircraft.state, image=image,
             track=self._track,
-            measured=None if self._sensing is None else self._sensing.measured,
+            measured=None if self._sensing is None else self._sensing.measured, held=self._held,
         )
 
     def advance(self, command: TaxiCommand) -> None:
@@ -178,11 +194,12 @@ class SimulatedWorld(World):
         before = self._aircraft.state
         self._aircraft.advance(self._steering.apply(command, stamp_ns))
         self._seq += 1
+        self._held = self._hold()
         if self._sensing is not None:
             now = self._aircraft
             self._sensing.advance(now.states if now.traced else [before, now.state])
         if shown_step(self._scenario, self._seq, self._period_ns) == self._seq:
-            self._shown = self._aircraft.state, self._seq * self._period_ns
+            self._shown = self._aircraft.state, self._seq * self._period_ns, self._held
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -391,6 +408,11 @@ class _PluginWorld(ForeignCode, World):
             raise UsageError(
                 f'{extension.words}: the world does not show traffic (no attribute '
                 f'{SHOWS_TRAFFIC}); leave it out, or take the world {KMWH}'
+            )
+        if reacting := scenario.others.reacting:
+            raise UsageError(
+                f'{extension.words}: {reacting}, as none does but in the world {KMWH}; leave '
+                'stands_within_m and starts_within_m out'
             )
         if not getattr(make, TAKES_DATAREFS, False):
             refuse_datarefs(scenario.datarefs, extension.words)

@@ -69,7 +69,7 @@ def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
         settings: values by key in human units, over those of the recording.
 
     Raises:
-        UsageError: a value is invalid, or the camera is unknown.
+        UsageError: a value is invalid, the camera is unknown, or others react to the aircraft.
     """
     setup, at = found.setup, found.table[found.scored].iloc[0].to_dict()
     if setup.rig is None:
@@ -91,7 +91,10 @@ def start_scenario(found: Score, settings: Mapping[str, Any]) -> Scenario:
         values['date'], time_s = local_time(int(at['stamp_ns']), setup.place.runway)
         values['time_of_day_h'] = time_s / 3600
     offsets = {key: 0.0 for key in kept if key.startswith('camera_d')}
-    return scenario_from_human({**kept, **offsets, **values, **settings})
+    scenario = scenario_from_human({**kept, **offsets, **values, **settings})
+    if reacting := scenario.others.reacting:
+        raise UsageError(f'simulate: {reacting}, which only a run shows; set traffic=nobody')
+    return scenario
 
 
 def _night_notes(scenario: Scenario, brightness: float) -> list[str]:

@@ -97,10 +97,12 @@ _AHEAD = 'ahead_m'
 KIND, COLOUR = 'kind', 'colour'
 """Properties of the world model's ground objects, besides Scenic's own."""
 
+REACTIONS = ('stands_within', 'starts_within')
+"""Arguments that say from which distance of the aircraft on an object stands, or starts."""
 BEHAVIORS = {
-    'FollowPath': ('path', 'speed', 'delay', 'wait'),
-    'GoStraight': ('speed', 'distance', 'delay'),
-    'CrossRunway': ('speed', 'delay'),
+    'FollowPath': ('path', 'speed', 'delay', 'wait', *REACTIONS),
+    'GoStraight': ('speed', 'distance', 'delay', *REACTIONS),
+    'CrossRunway': ('speed', 'delay', *REACTIONS),
 }
 """Arguments of the world model's behaviors, which Scenic has checked."""
 
@@ -204,7 +206,10 @@ def _motion(thing: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     else:
         points = [_map_place((0 - thing.position.x, thing.position.y))]
     legs = [{**point, 'speed_mps': speed} | ({'wait_s': wait} if wait else {}) for point in points]
-    return {'wait_s': plain_value('delay', given['delay']), 'path': legs}
+    return {'wait_s': plain_value('delay', given['delay']), 'path': legs} | {
+        f'{name}_m': plain_value(name, given[name])
+        for name in REACTIONS if given.get(name) is not None
+    }
 
 
 def _points(path: Any) -> list[Any]:

@@ -57,6 +57,40 @@ def test_given_no_change_then_the_whole_run_is_repeated(rainy, at_s):
     equal(rainy.fork(at_s).trace, rainy.trace)
 
 
+SHY = dataclasses.replace(CALM, traffic=tx.load_traffic([
+    {'kind': 'vehicle', 'x_m': CALM.distance_m + 30, 'y_m': -9, 'heading_deg': 90,
+     'path': [{'x_m': CALM.distance_m + 30, 'y_m': 9, 'speed_mps': 4}], 'stands_within_m': 25},
+    {'kind': 'vehicle', 'x_m': CALM.distance_m - 20, 'y_m': 0, 'stands_within_m': 19,
+     'path': [{'x_m': 900, 'y_m': 0, 'speed_mps': 9}]},
+]))
+
+
+@pytest.mark.parametrize('at_s', [0.0, 1.7, 3.0])
+def test_given_others_that_react_then_they_go_on_as_they_were_in_a_fork(at_s):
+    run = tx.run(SHY, perception='taxinet', specs='no_collision')
+    forked = run.fork(at_s)
+    equal(forked.trace, run.trace)
+    held = [step.observation.held for step in run.steps]
+    assert [step.observation.held for step in forked.steps] == held
+    assert all(0 < one.ns < 3e9 for one in held[-1].values())
+    np.testing.assert_array_equal(forked.frame(30), run.frame(30))
+
+
+def test_given_others_that_react_when_the_aircraft_is_placed_anew_then_they_react_to_its_new_place(
+    tmp_path,
+):
+    run = tx.run(SHY, specs='no_collision')
+    step = next(k for k in range(31) if run.steps[k].observation.held[0].stands)
+    assert step > 2
+    forked = run.fork(step / 10, moved={'distance_m': -12.0})
+    assert [one.steps[step].observation.held[0].stands for one in (run, forked)] == [True, False]
+    bag = tx.open_recording(forked.save_bag(tmp_path / 'forked', images=False))
+    np.testing.assert_array_equal(bag.trace['clearance_m'], forked.trace['clearance_m'])
+    assert [now.held for now in bag.observations(lambda seq: False)] == [
+        one.observation.held for one in forked.steps
+    ]
+
+
 def test_given_random_latencies_then_they_are_those_of_the_run():
     late = tx.run(CALM, latency='perception=uniform(0.0,0.4)')
     equal(late.fork(1.0).trace, late.trace)

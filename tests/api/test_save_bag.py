@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import math
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from bag_edits import altered, unaltered
 from own_place import OWN_PLACE
 
 import taxinet_ros as tx
@@ -182,12 +184,21 @@ print(recording.judge('phi_always').interval.lower)
     assert float(rho) < -18
 
 
-def test_given_others_on_the_ground_when_saved_then_the_bag_alone_shows_and_judges_them(tmp_path):
+@pytest.mark.parametrize('reaction', [
+    {}, {'stands_within_m': 23}, {'starts_within_m': 29, 'stands_within_m': 21},
+])
+def test_given_others_on_the_ground_when_saved_then_the_bag_alone_shows_and_judges_them(
+    reaction, tmp_path
+):
     van = {'kind': 'vehicle', 'x_m': 430, 'y_m': -9, 'heading_deg': 90,
-           'path': [{'x_m': 430, 'y_m': 9, 'speed_mps': 5}]}
+           'path': [{'x_m': 430, 'y_m': 9, 'speed_mps': 5}], **reaction}
     scene = tx.Scenario(traffic=tx.load_traffic([van]), duration_s=2.0)
     run = tx.run(scene, specs=[*SPECS, 'no_collision'])
+    assert [0 < one.ns < 2e9 for one in run.steps[-1].observation.held.values()] == (
+        [True] if reaction else []
+    )
     bag = run.save_bag(tmp_path / 'run')
+    bare = tx.open_recording(run.save_bag(tmp_path / 'bare', images=False))
     program = """
 import hashlib, sys
 import taxinet_ros as tx
@@ -203,6 +214,7 @@ print(hashlib.sha256(recording.trace['clearance_m'].to_numpy().tobytes()).hexdig
     ).stdout.split()
     frames = b''.join(image.tobytes() for image in run.frames())
     assert told[0] == hashlib.sha256(frames).hexdigest()
+    assert b''.join(frame.image.tobytes() for frame in bare.frames()) == frames
     closest = run.rho['no_collision'].lower
     assert [float(word) for word in told[1:4]] == [closest, closest - 3, 0.5]
     assert told[4] == hashlib.sha256(run.trace['clearance_m'].to_numpy().tobytes()).hexdigest()
@@ -210,6 +222,15 @@ print(hashlib.sha256(recording.trace['clearance_m'].to_numpy().tobytes()).hexdig
     assert list(recording.trace.columns) == list(run.trace.columns)
     again = [dict(row) for row in recording.samples.samples]
     assert [row['clearance'] for row in again] == [step.clearance_m for step in run.steps]
+
+    lossy = tx.open_recording(altered(
+        bag, tmp_path / 'lossy', unaltered,
+        keep=lambda one: one.topic.name != '/ground_truth/odom' or one.stamp_ns != 700_000_000,
+    ))
+    gaps = [math.isnan(row['clearance']) for row in lossy.samples.samples]
+    assert gaps == [step == 7 or (step > 7 and bool(reaction)) for step in range(21)]
+    assert math.isnan(lossy.trace['clearance_m'].iloc[-1]) is bool(reaction)
+    assert lossy.judge('no_collision').verdict == 'INVALID'
 
 
 def test_given_messages_of_another_version_then_one_line_says_what_to_do():

@@ -16,6 +16,7 @@ from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.aircraft import Aircraft
 from taxinet_ros.core.renderer import find_renderer
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import (
     SimulatedWorld,
@@ -124,6 +125,25 @@ def test_given_world_and_camera_when_put_into_one_word_then_it_is_taken_apart_ag
     assert world_options('kmwh') == []
     with pytest.raises(UsageError, match='names another; leave one out'):
         world_word('kmwh+flightgear', 'xplane')
+
+
+def test_given_others_that_react_then_only_runs_and_our_camera_show_them(file: Path) -> None:
+    van = {
+        'kind': 'vehicle', 'x_m': 430, 'y_m': -9, 'starts_within_m': 20,
+        'path': [{'x_m': 430, 'y_m': 9, 'speed_mps': 5}],
+    }
+    shy = Scenario(traffic=load_traffic([{'kind': 'cone', 'x_m': 420, 'y_m': 3}, van]))
+    still = Scenario(traffic=load_traffic([{'kind': 'cone', 'x_m': 420, 'y_m': 3}]))
+    found = find_renderer(f'{file}:Ours')
+    assert found is not None
+    found.check(still)
+    with pytest.raises(UsageError, match=r'theirs.py:Ours: objects\[1\] of traffic reacts to the'):
+        found.check(shy)
+    first = next(iter(tx.run(dataclasses.replace(shy, duration_s=0.1)).frames()))
+    assert (tx.render(shy) == first).all()
+    tx.render(still, t_s=2.0)
+    with pytest.raises(UsageError, match=r'render: t_s: objects\[1\] of traffic reacts'):
+        tx.render(shy, t_s=2.0)
 
 
 def test_given_a_camera_that_is_ours_when_a_run_is_made_then_pictures_and_faults_are_the_same(

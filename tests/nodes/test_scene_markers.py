@@ -115,6 +115,25 @@ def test_given_others_on_the_ground_then_each_is_where_it_is_at_that_time():
     assert van.header.stamp.sec == 2
 
 
+def test_given_others_that_react_then_they_are_drawn_where_they_are_and_not_where_nobody_knows():
+    scene = Scenario(traffic=load_traffic([
+        {'kind': 'vehicle', 'x_m': 705, 'y_m': -10, 'stands_within_m': 10,
+         'path': [{'x_m': 705, 'y_m': 30, 'speed_mps': 10}]},
+        {'kind': 'vehicle', 'x_m': 450, 'y_m': -10,
+         'path': [{'x_m': 450, 'y_m': 30, 'speed_mps': 10}]},
+    ]))
+    moving = MovingMarkers()
+    moving.change(scene)
+    at_m, drawn = {}, []
+    for step in (*range(8), 9, 10, 0):
+        *_, shy, van = moving.markers(odometry(state(), step * 100_000_000)).markers
+        assert (shy.ns, shy.id, van.action) == ('others', 0, Marker.ADD)
+        drawn.append(shy.action == Marker.ADD)
+        at_m.setdefault(step, shy.pose.position.y)
+    assert [at_m[step] for step in range(8)] == pytest.approx([-10, -9, -8, -7, -6, -6, -6, -6])
+    assert drawn == [True] * 8 + [False] * 2 + [True]
+
+
 def test_given_an_airport_then_its_pavements_and_lines_are_outlined():
     place = {**json.loads(find_place('bikf_10').document), 'name': 'own'}
     square = [[0, 100], [50, 100], [50, 150], [0, 150]]

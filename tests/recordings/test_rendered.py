@@ -51,6 +51,11 @@ def test_given_a_run_of_ours_then_rendered_frames_are_like_the_recorded_and_a_ru
     assert off.iloc[0] < 0.05
     assert values['start']['clouds'] == 'cirrus'
     assert values['start']['time_of_day_h'] == 16
+    (tmp_path / 'shy.yaml').write_text(
+        'objects: [{kind: vehicle, x_m: 1020, y_m: 9, starts_within_m: 9, '
+        'path: [{x_m: 1020, y_m: -9, speed_mps: 3}]}]')
+    code, _, err = taxinet('score', bag, '--simulate', '--set', 'traffic=shy.yaml')
+    assert (code, 'simulate: objects[0] of traffic reacts to the aircraft' in err) == (2, True)
     # Another hour is another picture.
     code, out, _ = taxinet('score', bag, '--simulate', '--set', 'time_of_day=9:00', '--json')
     assert json.loads(out)['start']['time_of_day_h'] == 9

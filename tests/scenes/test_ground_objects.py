@@ -44,6 +44,21 @@ def test_given_ground_objects_then_a_scene_has_them_in_map(write):
     assert scene.others.text == scene.traffic
 
 
+def test_given_distances_to_the_aircraft_then_they_are_of_the_object_and_are_searched(write):
+    path = write(HEAD + """
+van = new Vehicle at (30, 450), facing 90 deg, with behavior CrossRunway(
+    4, delay=2, starts_within=Range(20, 60))
+new Vehicle at (0, 380), with behavior FollowPath([(0, 800)], 8, 0, 0, Range(15, 20))
+""")
+    with SceneSource(path, seed=1) as source:
+        assert [one.name for one in source.space()] == ['van.behavior', 'object2.behavior']
+        low, high = (source.scene(0, (share,) * 2).others.objects for share in (0.0, 0.999999))
+    assert [(one.stands_within_m, one.starts_within_m) for one in low] == [(0, 20), (15, 0)]
+    assert high[0].starts_within_m == pytest.approx(60, abs=1e-4)
+    assert high[1].stands_within_m == pytest.approx(20, abs=1e-4)
+    assert (low[0].wait_s, low[0].path[0].speed_mps) == (2, 4)
+
+
 def test_given_random_places_then_they_are_dimensions_and_points_set_them(write):
     with SceneSource(write(BUSY), seed=1) as source:
         names = [dimension.name for dimension in source.space()]
@@ -114,6 +129,8 @@ def test_given_files_to_choose_from_then_each_scene_has_one_of_them(write, tmp_p
     ('new Vehicle at (3, 450), with behavior CrossRunway(99)', '3: speed_mps: expected a number'),
     ('new Vehicle at (0, 450), with behavior CrossRunway(5)', r'3: path\[0\]: it is there already'),
     ('new Vehicle at (3, 450), with behavior FollowPath(5, 4)', '3: path: expected a list of'),
+    ('new Vehicle at (3, 450), with behavior CrossRunway(3, stands_within=0)',
+     '3: stands_within_m: expected a number, 1 to 1000'),
     ('new Vehicle at (3, 450), with sensors {"a": 1}', '3: sensors has no effect here'),
     ('new Object at (3, 450)', '3: a further Object: it is no ground object'),
     ('param traffic = "nobody"\nnew Cone at (1, 450)', '3: param traffic has no effect here'),

@@ -363,10 +363,12 @@ def _outcome(
     gains: SteeringGains,
 ) -> ChangedView:
     step = shown_step(scenario, moment.seq, scenario.period_ns)
-    state = moment.state if step == moment.seq else moment.shown
+    state, held = (moment.state, moment.held) if step == moment.seq else (
+        moment.shown, moment.shown_held
+    )
     if state is None:
         raise ValueError(f'step {step}: its state is unknown')
-    image = camera.render(state, step * scenario.period_ns)
+    image = camera.render(state, step * scenario.period_ns, held=held)
     estimate = look(image, scenario.rig)
     return ChangedView(
         image=image, estimate=estimate, misled_rad=misled_rad(estimate, moment.truth, gains),

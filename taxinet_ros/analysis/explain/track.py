@@ -9,7 +9,7 @@ misleads the aircraft: errors that cancel each other do no harm.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Protocol
 
@@ -27,6 +27,7 @@ from taxinet_ros.core.place.track import Track as Line
 from taxinet_ros.core.renderer import RunCamera
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.rig import Rig
+from taxinet_ros.core.traffic.traffic import NOTHING_HELD, Holds
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 from taxinet_ros.core.verdict.run_statistics import deciding_steps
 
@@ -62,6 +63,7 @@ class Track:
         rec_cte_m, rec_he_rad: the estimates in the bag.
         gains: gains of the run's steering law.
         states: true states by control step; empty if the run cannot be rerun.
+        held: others on the ground that the aircraft held, likewise.
         differs: reason why it cannot, or ''.
     """
 
@@ -78,6 +80,7 @@ class Track:
     states: dict[int, AircraftState]
     differs: str
     half_width_m: float = KMWH_HALF_WIDTH_M
+    held: dict[int, Holds] = field(default_factory=dict)
 
     @property
     def misled_rad(self) -> Floats:
@@ -130,6 +133,7 @@ class Moment:
         camera: the camera that took it.
         state: the aircraft's true state; None if the run cannot be rerun.
         shown: its state at the step whose picture the frame is, if the camera is frozen.
+        held, shown_held: others on the ground that it held at these two.
         truth, estimate: tracking errors.
         misled_rad: see :attr:`Track.misled_rad`.
     """
@@ -146,6 +150,8 @@ class Moment:
     estimate: TrackingError
     misled_rad: float
     shown: AircraftState | None = None
+    held: Holds = field(default_factory=dict)
+    shown_held: Holds = field(default_factory=dict)
 
 
 def heading_asked_rad(
@@ -187,6 +193,7 @@ def read_track(
     total = len(trace['seq'])
     seen: dict[int, TrackingError] = {}
     states: dict[int, AircraftState] = {}
+    held: dict[int, Holds] = {}
     differs = ''
     for frame in recording.frames(render=False):
         seen[frame.seq] = look(np.ascontiguousarray(frame.image))
@@ -194,7 +201,7 @@ def read_track(
     recorded = frozenset(seen)
     try:
         for now in recording.observations(lambda seq: seq not in recorded):
-            states[now.seq] = now.state
+            states[now.seq], held[now.seq] = now.state, now.held
             if now.image is not None:
                 seen[now.seq] = look(now.image)
                 on_progress(len(seen), total)
@@ -203,7 +210,7 @@ def read_track(
             raise WorldDiffers(
                 f'{error}; its frames were not recorded and cannot be re-rendered, so there is '
                 'nothing to explain', path=path) from error
-        states, differs = {}, str(error)
+        states, held, differs = {}, {}, str(error)
     if not seen:
         raise BagEmpty(f'{path}: no camera frames available, so there is nothing to explain',
                        path=path)
@@ -213,7 +220,7 @@ def read_track(
         cte_m=_float(trace['cte_m']), he_rad=_float(trace['he_rad']),
         est_cte_m=_estimates(steps, seen, 'cte_m'), est_he_rad=_estimates(steps, seen, 'he_rad'),
         rec_cte_m=_float(trace['est_cte_m']), rec_he_rad=_float(trace['est_he_rad']),
-        gains=SteeringGains(**recording.run.gains), states=states, differs=differs,
+        gains=SteeringGains(**recording.run.gains), states=states, held=held, differs=differs,
         half_width_m=recording.scenario.line.half_width_m,
     )
 
@@ -266,16 +273,18 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
         state = track.states.get(seq)
         step = shown_step(scenario, seq, scenario.period_ns)
         shown = track.states.get(step)
+        held, shown_held = (track.held.get(one, NOTHING_HELD) for one in (seq, step))
         image = images.get(seq)
         if image is None:
             if shown is None or world.again_words:
                 continue  # a failed run may have a step without a state, or without a frame
-            image = camera().render(shown, step * scenario.period_ns)
+            image = camera().render(shown, step * scenario.period_ns, held=shown_held)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
             line=scenario.line, image=image, camera=scenario.camera_model, state=state,
             truth=track.truth(row), estimate=track.estimate(row),
-            misled_rad=float(track.misled_rad[row]), shown=shown,
+            misled_rad=float(track.misled_rad[row]), shown=shown, held=held,
+            shown_held=shown_held,
         )
 
 

@@ -47,6 +47,7 @@ from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.rig.camera_model import CameraModel, rotation
 from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.traffic import NOTHING_HELD, Holds
 from taxinet_ros.core.types import AircraftState
 
 Mark = Callable[[str], None]
@@ -200,7 +201,8 @@ class Camera:
         self._faults = LensFaults(scenario, self._light, model.intrinsics, model.shape[:2])
 
     def render(
-        self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
+        self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None, *,
+        held: Holds = NOTHING_HELD,
     ) -> NDArray[np.uint8]:
         """Render the scene from ``state``.
 
@@ -209,6 +211,7 @@ class Camera:
             stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern
                 and the noise.
             mark: called with the name of each of :data:`STAGES` when it ends.
+            held: of the others that react to the aircraft, of each how long it was held.
 
         Returns:
             RGB uint8 of the camera's shape, usually (200, 360, 3), C-contiguous, owned by the
@@ -216,6 +219,7 @@ class Camera:
 
         Raises:
             ValueError: the pose is not finite or the camera would be below the ground.
+            KeyError: others react, and after the start ``held`` does not say how.
         """
         body, to_optical, camera = pose(state, self.model)
         rays = to_optical.T @ self._to_ray
@@ -227,12 +231,12 @@ class Camera:
         if self._clouds.casts:
             self._clouds.shade(colour, rays, camera)
             mark('cloud shade')
-        self._shade(colour, (body, to_optical, camera), state, stamp_ns, mark)
+        self._shade(colour, (body, to_optical, camera), state, stamp_ns, mark, held)
         picture = np.empty((*self._size, 3), np.uint8)
         self._atmosphere.develop(colour, self._curve, rays, float(camera[2]), picture)
         mark('atmosphere')
         if self._objects is not None:
-            self._objects.draw_solids(picture, to_optical, camera, stamp_ns)
+            self._objects.draw_solids(picture, to_optical, camera, stamp_ns, held)
             mark('others')
         if self._rain is not None:
             cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
@@ -260,7 +264,7 @@ class Camera:
 
     def _shade(
         self, colour: NDArray[np.uint8], at: tuple[Vectors, Vectors, Vectors],
-        state: AircraftState, stamp_ns: int, mark: Mark,
+        state: AircraftState, stamp_ns: int, mark: Mark, held: Holds,
     ) -> None:
         """Darken the ground in the shadows of the aircraft and of others, nowhere twice."""
         body, to_optical, camera = at
@@ -277,7 +281,7 @@ class Camera:
             shaded = np.zeros(self._size, np.uint8)
             if shadow is not None:
                 shaded[shadow[:2]] = shadow[2]
-            self._objects.shade(colour, to_optical, camera, stamp_ns, shaded)
+            self._objects.shade(colour, to_optical, camera, stamp_ns, shaded, held)
             mark('shadows of others')
 
 

@@ -19,7 +19,7 @@ from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.atmosphere import Atmosphere
 from taxinet_ros.core.camera.light import GAMMA, CloudShade, Light, display_code
 from taxinet_ros.core.traffic.shapes import PAINT, UNSEEN, body, daylight_colour, face_normal
-from taxinet_ros.core.traffic.traffic import GroundObject, Pose, Traffic
+from taxinet_ros.core.traffic.traffic import GroundObject, Holds, Pose, Traffic
 
 Vectors = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -128,7 +128,7 @@ class ObjectsView:
 
     def shade(
         self, ground: Picture, to_optical: Vectors, camera: Vectors, stamp_ns: int,
-        shaded: NDArray[np.uint8],
+        shaded: NDArray[np.uint8], held: Holds,
     ) -> None:
         """Darken the ground in the solids' shadows, in place.
 
@@ -139,9 +139,9 @@ class ObjectsView:
             stamp_ns: simulated time [ns].
             shaded: (height, width) where another shadow is already, 255 for full; no ground is
                 darkened twice. Shadows are added.
+            held: those that the aircraft has held.
         """
-        for one in self._traffic.solids:
-            pose = one.pose_at(stamp_ns)
+        for one, pose in self._traffic.solids_at(stamp_ns, held):
             parts = [_placed(part, pose) for part in self._meshes[id(one)].parts]
             away_m = max(math.hypot(pose.x_m - camera[0], pose.y_m - camera[1]), _NEAREST_M)
             low = [_flattened(part) for part in parts if part[:, 2].min() < _CLEAR_UNDER_M]
@@ -168,10 +168,10 @@ class ObjectsView:
                 pixels.tint_masked(ground[rows, columns], np.ascontiguousarray(more), depth)
 
     def draw_solids(
-        self, picture: Picture, to_optical: Vectors, camera: Vectors, stamp_ns: int
+        self, picture: Picture, to_optical: Vectors, camera: Vectors, stamp_ns: int, held: Holds
     ) -> None:
         """Draw the solids over a picture of ground and sky (height, width, 3), in place."""
-        placed = [(one, one.pose_at(stamp_ns)) for one in self._traffic.solids]
+        placed = self._traffic.solids_at(stamp_ns, held)
         away = [math.hypot(pose.x_m - camera[0], pose.y_m - camera[1]) for _, pose in placed]
         for number in sorted(range(len(placed)), key=lambda k: (-away[k], k)):
             if away[number] < _FARTHEST_M:

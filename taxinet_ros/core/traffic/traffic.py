@@ -1,14 +1,15 @@
 """Objects on the ground, where they stand, and how they move along simple paths.
 
-A pose is a function of simulated time alone: nothing reacts to the aircraft, so graph, loop and
-every re-simulation have the same objects at the same places, to the bit.
+A pose is a function of simulated time and, of those that react to the aircraft, of how long it has
+held them (:mod:`.motion`), so graph, loop and every re-simulation have the same objects at the same
+places, to the bit.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -64,6 +65,26 @@ class Pose(NamedTuple):
     heading_rad: float
 
 
+class Held(NamedTuple):
+    """How far the aircraft has held an object until a control step.
+
+    Attributes:
+        ns: time that does not count for its path [ns].
+        begun: whether it may have begun its path.
+        stands: whether it is held until the next step.
+    """
+
+    ns: int
+    begun: bool
+    stands: bool
+
+
+Holds = Mapping[int, Held]
+"""By number of the object, of those that react."""
+NOTHING_HELD: Holds = {}
+"""At the start of a run, or where nothing reacts."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Leg:
     """A straight part of a path.
@@ -93,6 +114,10 @@ class GroundObject:
         wait_s: how long it stands before it begins its path [s].
         path: that it follows to its end, where it stays; it turns as something with a wheel at
             either end does.
+        stands_within_m: it stands, and its waits too, while the aircraft's reference point is
+            nearer than this to its middle, in plan [m]; 0: it does not.
+        starts_within_m: its path and ``wait_s`` begin when the aircraft first is nearer than this
+            [m]; 0: with the run.
     """
 
     kind: str
@@ -103,6 +128,13 @@ class GroundObject:
     colour: str
     wait_s: float = 0.0
     path: tuple[Leg, ...] = ()
+    stands_within_m: float = 0.0
+    starts_within_m: float = 0.0
+
+    @property
+    def reacts(self) -> bool:
+        """Whether where it is depends on where the aircraft was."""
+        return self.stands_within_m > 0 or self.starts_within_m > 0
 
     @property
     def solid(self) -> bool:
@@ -116,8 +148,12 @@ class GroundObject:
         values: dict[str, Any] = {
             'kind': self.kind, 'x_m': self.x_m, 'y_m': self.y_m, 'heading_deg': self.heading_deg,
             **self.size._asdict(), 'colour': self.colour, 'wait_s': self.wait_s,
+            'stands_within_m': self.stands_within_m, 'starts_within_m': self.starts_within_m,
         }
-        usual = {'heading_deg': 0.0, **known.size._asdict(), 'colour': known.colour, 'wait_s': 0.0}
+        usual = {
+            'heading_deg': 0.0, **known.size._asdict(), 'colour': known.colour, 'wait_s': 0.0,
+            'stands_within_m': 0.0, 'starts_within_m': 0.0,
+        }
         values = {key: one for key, one in values.items() if usual.get(key) != one}
         if self.path:
             values['path'] = [
@@ -128,7 +164,7 @@ class GroundObject:
         return values
 
     def pose_at(self, stamp_ns: int) -> Pose:
-        """Where it is at a simulated time [ns]."""
+        """Where it is at a simulated time, less that for which it was held [ns]."""
         start_rad = math.radians(self.heading_deg)
         if not self.path:
             return Pose(self.x_m, self.y_m, start_rad)
@@ -193,6 +229,31 @@ class Traffic(NamedDocument):
     """
 
     objects: tuple[GroundObject, ...] = ()
+
+    def pose(self, number: int, stamp_ns: int, held: Holds) -> Pose:
+        """Where an object is at a simulated time [ns]; ``held``: at its control step.
+
+        Raises:
+            KeyError: it reacts to the aircraft, and how long it was held is not said.
+        """
+        one = self.objects[number]
+        # At the start of a run nothing has been held.
+        return one.pose_at(stamp_ns - (held[number].ns if one.reacts and stamp_ns else 0))
+
+    def solids_at(self, stamp_ns: int, held: Holds) -> list[tuple[GroundObject, Pose]]:
+        """Those that can be hit, and where, as :meth:`pose`."""
+        return [
+            (one, self.pose(number, stamp_ns, held))
+            for number, one in enumerate(self.objects) if one.solid
+        ]
+
+    @cached_property
+    def reacting(self) -> str:
+        """The first that reacts to the aircraft, in words for refusals; '' if none does."""
+        return next((
+            f'objects[{number}] of traffic reacts to the aircraft'
+            for number, one in enumerate(self.objects) if one.reacts
+        ), '')
 
     @cached_property
     def solids(self) -> tuple[GroundObject, ...]:

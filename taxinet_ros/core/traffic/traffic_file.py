@@ -29,12 +29,14 @@ _LEAST_SIZE_M, _MOST_SIZE_M = 0.1, 100.0
 _LEAST_LEG_M = 0.01
 _SPEEDS_MPS = (0.1, 30.0)
 _LONGEST_WAIT_S = 3600.0
+_WITHIN_M = (1.0, 1000.0)
 _X_M, _Y_M = (-2000.0, 8000.0), (-3000.0, 3000.0)
 
 _KEYS = (
     'kind', 'x_m', 'y_m', 'heading_deg', 'length_m', 'width_m', 'height_m', 'colour', 'wait_s',
-    'path',
+    'path', 'stands_within_m', 'starts_within_m',
 )
+_MOVES = ('wait_s', 'stands_within_m', 'starts_within_m')
 _LEG_KEYS = ('x_m', 'y_m', 'speed_mps', 'wait_s')
 _FROM_SCENARIO = Path('traffic')
 
@@ -57,11 +59,12 @@ def _object(section: Section) -> GroundObject:
     kind = section.word('kind', tuple(KINDS))
     known = KINDS[kind]
     if not known.solid:
-        for key in ('height_m', 'path', 'wait_s'):
+        for key in ('height_m', 'path', *_MOVES):
             if key in section:
                 raise section.wrong(f'{kind} lies on the ground; leave it out', key)
-    if 'wait_s' in section and 'path' not in section:
-        raise section.wrong('has no effect without a path', 'wait_s')
+    for key in _MOVES:
+        if key in section and 'path' not in section:
+            raise section.wrong('has no effect without a path', key)
     size = Size(*(
         section.number(key, _LEAST_SIZE_M if usual else 0.0, _MOST_SIZE_M, usual)
         for key, usual in known.size._asdict().items()
@@ -74,6 +77,8 @@ def _object(section: Section) -> GroundObject:
         colour=section.word('colour', COLOURS, known.colour),
         wait_s=section.number('wait_s', 0, _LONGEST_WAIT_S, 0.0),
         path=tuple(_legs(section, x_m, y_m)),
+        stands_within_m=section.number('stands_within_m', *_WITHIN_M, 0.0),
+        starts_within_m=section.number('starts_within_m', *_WITHIN_M, 0.0),
     )
 
 

@@ -19,7 +19,8 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.service import Service
 from rclpy.task import Future
 
-from taxinet_ros.core.traffic.traffic import GroundObject
+from taxinet_ros.core.control_step import Observation
+from taxinet_ros.core.traffic.traffic import Traffic
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes.interface import RUN_SCENARIO
 from taxinet_ros.nodes.messages.convert import header, one_line
@@ -227,14 +228,17 @@ class SimulationInterfaces:
             at.yaw_rate_radps,
         )
         about = f'the aircraft under test: {run.scenario.aircraft_model.title}'
-        others = enumerate(run.scenario.others.objects)
+        others = run.scenario.others
         return [
             Entity('ego', 'ROBOT', about, state),
-            *(self._other(number, one, stamp_ns) for number, one in others),
+            *(self._other(others, k, run.frame) for k in range(len(others.objects))),
         ]
 
-    def _other(self, number: int, one: GroundObject, stamp_ns: int) -> Entity:
-        now, soon = one.pose_at(stamp_ns), one.pose_at(stamp_ns + _MOMENT_NS)
+    def _other(self, others: Traffic, number: int, frame: Observation) -> Entity:
+        one, stamp_ns, held = others.objects[number], frame.stamp_ns, frame.held
+        now = soon = others.pose(number, stamp_ns, held)
+        if number not in held or not held[number].stands:
+            soon = others.pose(number, stamp_ns + _MOMENT_NS, held)
         turned_rad = math.remainder(soon.heading_rad - now.heading_rad, math.tau)
         category = 'DYNAMIC_OBJECT' if one.path else 'STATIC_OBJECT'
         state = self._entity_state(

@@ -19,8 +19,9 @@ from taxinet_ros.core.place.runway import Crossing, Runway
 from taxinet_ros.core.place.track import Track, painted_line
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.motion import TrafficMotion
 from taxinet_ros.core.traffic.shapes import UNSEEN, body, daylight_colour
-from taxinet_ros.core.traffic.traffic import GroundObject
+from taxinet_ros.core.traffic.traffic import NOTHING_HELD, GroundObject, Holds, Traffic
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes.messages.convert import header, stamp_of
 
@@ -45,7 +46,8 @@ def ground_markers(scene: Scenario) -> MarkerArray:
     aside = [] if track.is_runway else _taxiway(track, runway)
     around = [] if airport is None else _airport(airport)
     others = [
-        _other(number, one, 0) for number, one in enumerate(scene.others.objects) if not one.path
+        _other(scene.others, number, 0)
+        for number, one in enumerate(scene.others.objects) if not one.path
     ]
     return MarkerArray(markers=[pavement, *crossings, paint, *aside, *around, *others])
 
@@ -88,11 +90,16 @@ def _lines(
     return marker
 
 
-def _other(number: int, one: GroundObject, stamp_ns: int) -> Marker:
-    """One of the others on the ground at a simulated time [ns]."""
+def _other(
+    others: Traffic, number: int, stamp_ns: int, held: Holds | None = NOTHING_HELD
+) -> Marker:
+    """One of the others on the ground at a simulated time [ns]; none if nobody knows where."""
+    one = others.objects[number]
+    if held is None and one.reacts:
+        return Marker(action=Marker.DELETE, ns='others', id=number)
     marker = _triangles('others', *_other_mesh(one))
     marker.id = number
-    at = one.pose_at(stamp_ns)
+    at = others.pose(number, stamp_ns, held or NOTHING_HELD)
     marker.pose.position = Point(x=at.x_m, y=at.y_m)
     marker.pose.orientation = _quaternion(*quaternion(0.0, 0.0, at.heading_rad))
     return marker
@@ -147,7 +154,8 @@ class MovingMarkers:
         """
         triangles = _aircraft_triangles(scene.aircraft_model)
         self._body = _triangles('aircraft', triangles, _AIRFRAME)
-        self._others = [one for one in enumerate(scene.others.objects) if one[1].path]
+        self._others, self._motion = scene.others, TrafficMotion(scene.others, scene.period_ns)
+        self._moving = [k for k, one in enumerate(scene.others.objects) if one.path]
         self._cleared = False
         before, self._ground = self._ground, (scene.place, scene.track, scene.traffic)
         if before == self._ground:
@@ -164,7 +172,8 @@ class MovingMarkers:
         self._last_ns = stamp_ns
         self._path.points.append(Point(x=at.position.x, y=at.position.y, z=_PAINT_LIFT_M * 2))
         self._body.pose = Pose(position=at.position, orientation=at.orientation)
-        others = [_other(number, one, stamp_ns) for number, one in self._others]
+        held = self._motion.step(stamp_ns, at.position.x, at.position.y)
+        others = [_other(self._others, number, stamp_ns, held) for number in self._moving]
         for marker in (self._body, self._path, *others):
             marker.header = odometry.header
         # Those of a scene before would stay.

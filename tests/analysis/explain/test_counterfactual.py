@@ -15,7 +15,7 @@ from taxinet_ros.analysis.explain.counterfactual import (
     run_factors,
 )
 from taxinet_ros.analysis.explain.occlusion import changed_pixels
-from taxinet_ros.analysis.explain.track import Moment, misled_rad
+from taxinet_ros.analysis.explain.track import Moment, misled_rad, moments, read_track
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.motion.controller import SteeringGains
@@ -205,6 +205,36 @@ def test_given_a_frozen_camera_then_only_without_it_a_moment_is_seen_as_it_is():
     assert np.array_equal(found['camera_freeze_s'], camera.render(now.state, now.stamp_ns))
     bare = Camera(dataclasses.replace(AFTERNOON, shadows=False))
     assert np.array_equal(found['shadow'], bare.render(start.state, 0))
+
+
+@pytest.mark.filterwarnings('ignore:camera_freeze_s. no effect, as the perception needs no picture')
+def test_given_others_that_react_then_moments_without_recorded_frames_show_them_where_they_were(
+    tmp_path,
+):
+    x_m = AFTERNOON.distance_m
+    shy = {'kind': 'vehicle', 'y_m': -8, 'heading_deg': 90, 'stands_within_m': 16}
+    scene = dataclasses.replace(
+        AFTERNOON, duration_s=3.0, camera_freeze_s=0.6, fault_onset_s=2.0, traffic=load_traffic([
+            {**shy, 'x_m': x_m + 20, 'path': [{'x_m': x_m + 20, 'y_m': 8, 'speed_mps': 2.5}]},
+        ]),
+    )
+    run = tx.run(scene)
+    held = [step.observation.held[0].ns for step in run.steps]
+    assert 0 < held[20] < held[24] < held[28]
+    recording = tx.open_recording(run.save_bag(tmp_path / 'run', images=False))
+    assert not recording.recorded_steps
+
+    def look(image, rig=None):
+        return NO_ESTIMATE
+
+    found = list(moments(recording, read_track(recording, look), [15, 24, 28]))
+    for moment, row in zip(found, (15, 24, 28), strict=True):
+        assert np.array_equal(moment.image, run.frame(row))
+    seen = {one.factor.name: one for one in effects(scene, found, look, GAINS)}
+    thawed = tx.run(dataclasses.replace(scene, camera_freeze_s=0.0, fault_onset_s=0.0))
+    for k, row in enumerate((15, 24, 28)):
+        assert np.array_equal(seen['camera_freeze_s'].outcomes[k].image, thawed.frame(row))
+    assert seen['camera_freeze_s'].outcomes[1].changed > 0
 
 
 def recorded(scenario):

@@ -89,6 +89,10 @@ def test_given_the_same_objects_then_text_and_reference_are_the_same_however_the
     assert reference.startswith('1_objects@')
     assert scenario_from_human({'traffic': reference}) == scene
     assert load_traffic([VAN]) != load_traffic([{**VAN, 'wait_s': 2.5}])
+    shy = load_traffic([{**VAN, 'stands_within_m': 9, 'starts_within_m': 40}])
+    assert 'within' not in load_traffic([VAN])
+    assert find_traffic(shy).objects[0].stands_within_m == 9
+    assert find_traffic(shy).text == shy
     assert find_traffic(load_traffic([VAN])).text == load_traffic([VAN])
 
 
@@ -110,6 +114,13 @@ def test_given_a_file_when_typed_then_its_objects_are_there(tmp_path):
     ([{'kind': 'cone', 'x_m': 1, 'y_m': 1, 'height_m': 0}], 'height_m: expected a number, 0.1'),
     ([{'kind': 'patch', 'x_m': 1, 'y_m': 1, 'height_m': 1}], 'height_m: patch lies on the ground'),
     ([{'kind': 'cone', 'x_m': 1, 'y_m': 1, 'wait_s': 3}], 'wait_s: has no effect without a path'),
+    ([{'kind': 'cone', 'x_m': 1, 'y_m': 1, 'stands_within_m': 9}], 'within_m: has no effect with'),
+    ([{'kind': 'cone', 'x_m': 1, 'y_m': 1, 'starts_within_m': 9}], 'within_m: has no effect with'),
+    ([{'kind': 'patch', 'x_m': 1, 'y_m': 1, 'stands_within_m': 9}], 'within_m: patch lies on the'),
+    ([{'kind': 'patch', 'x_m': 1, 'y_m': 1, 'starts_within_m': 9}], 'within_m: patch lies on the'),
+    ([{**VAN, 'stands_within_m': 0}], 'stands_within_m: expected a number, 1 to 1000'),
+    ([{**VAN, 'starts_within_m': -5}], 'starts_within_m: expected a number, 1 to 1000'),
+    ([{**VAN, 'stands_within_m': '9 m'}], 'stands_within_m: expected a number'),
     ([{**VAN, 'path': [{'x_m': 500, 'y_m': -20, 'speed_mps': 1}]}], 'it is there already'),
     ([{**VAN, 'path': [{'x_m': 5, 'y_m': 5, 'speed_mps': 0}]}], 'speed_mps: expected a number'),
     ([{'kind': 'cone', 'x_m': float('nan'), 'y_m': 1}], 'x_m: expected a number'),

@@ -25,6 +25,15 @@ VAN = {
     'kind': 'vehicle', 'x_m': 730, 'y_m': -12, 'heading_deg': 90, 'wait_s': 1.0,
     'path': [{'x_m': 730, 'y_m': 12, 'speed_mps': 4}],
 }
+REACTING = [
+    {'kind': 'vehicle', 'x_m': 685, 'y_m': 8, 'stands_within_m': 17,
+     'path': [{'x_m': 800, 'y_m': 0, 'speed_mps': 9}]},
+    {'kind': 'person', 'x_m': 728, 'y_m': -3, 'heading_deg': 90, 'stands_within_m': 13,
+     'path': [{'x_m': 728, 'y_m': 9, 'speed_mps': 1.5}]},
+    {'kind': 'vehicle', 'x_m': 740, 'y_m': 9, 'heading_deg': 180, 'starts_within_m': 25,
+     'wait_s': 0.5, 'path': [{'x_m': 700, 'y_m': 12, 'speed_mps': 6}]},
+]
+"""One follows, one lets the aircraft pass, and one starts late."""
 PARKED = {'kind': 'aircraft', 'x_m': 722, 'y_m': -16, 'heading_deg': 70}
 SCENES = [
     scenario_from_human({
@@ -57,7 +66,9 @@ SCENES = [
     }),
     scenario_from_human({
         'cross_track': 4.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5, 'duration': 6,
-        'traffic': tx.load_traffic([VAN, PARKED, {'kind': 'closed_marking', 'x_m': 735, 'y_m': 0}]),
+        'traffic': tx.load_traffic([
+            VAN, PARKED, {'kind': 'closed_marking', 'x_m': 735, 'y_m': 0}, *REACTING,
+        ]),
     }),
 ]
 STEPS = 61
@@ -88,6 +99,9 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
         run = tx.run(asked.scenario, perception=word, specs=specs)
         images = list(run.frames())
         assert len(run.trace) == STEPS
+        held = run.steps[-1].observation.held
+        assert len(held) == (3 if asked.scenario.others.objects else 0)
+        assert all(0 < one.ns < 6_000_000_000 for one in held.values())
         for name, results in (('one', composed), ('many', processes)):
             bag = tmp_path / name / asked.run_id
             trace = open_recording(bag).trace
