@@ -41,11 +41,13 @@ class TrafficMotion:
         if stamp_ns == 0:
             self._before = dict.fromkeys(self._reacting, Held(0, begun=False, stands=False))
         elif stamp_ns != self._stamp_ns:
-            missed = stamp_ns != self._stamp_ns + self._period_ns
+            # Periods of 30 Hz differ by a nanosecond.
+            passed_ns = stamp_ns - self._stamp_ns
+            missed = not 0 < passed_ns <= self._period_ns + 1
             self._before = None if missed else self._held
             if self._before is not None:
                 self._before = {
-                    number: held._replace(ns=held.ns + held.stands * self._period_ns)
+                    number: held._replace(ns=held.ns + held.stands * passed_ns)
                     for number, held in self._before.items()
                 }
         self._stamp_ns, self._held = stamp_ns, None
