@@ -338,9 +338,10 @@ def _declared(folders: tuple[str, ...]) -> dict[str, tuple[Extension, ...]]:
     from importlib.metadata import entry_points
 
     found = {}
+    declared = entry_points()  # it reads those of all packages, whatever it is asked for
     for kind in SHIPPED:
         entries = sorted(
-            entry_points(group=f'{OURS}.{kind}'), key=lambda one: (one.name, one.value)
+            declared.select(group=f'{OURS}.{kind}'), key=lambda one: (one.name, one.value)
         )
         found[kind] = tuple(
             Extension(

@@ -177,6 +177,7 @@ def test_given_the_world_of_the_sample_when_runs_are_asked_for_then_all_that_fol
     assert 'another one' not in why.stdout
 
 
+@pytest.mark.nightly
 def test_given_a_world_where_it_has_no_effect_then_it_is_refused_by_name(
     site: Path, tmp_path: Path
 ) -> None:
@@ -200,6 +201,7 @@ def test_given_a_typo_when_the_sample_is_installed_then_its_names_are_among_the_
     assert 'packages add more by taxinet_ros.perceptions' in said
 
 
+@pytest.mark.nightly
 def test_given_a_broken_package_when_not_named_then_all_else_goes_on(
     site: Path, tmp_path: Path
 ) -> None:

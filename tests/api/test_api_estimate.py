@@ -12,6 +12,7 @@ SETTINGS = {'duration': 0.5}
 SPECS = 'near=always(cte <= 7.5)'
 
 
+@pytest.mark.nightly
 def test_given_a_program_when_estimated_then_the_folder_tells_the_same_and_resumes_to_it(tmp_path):
     out = tmp_path / 'c'
     asked = {

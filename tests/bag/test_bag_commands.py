@@ -161,6 +161,7 @@ def test_given_tables_when_exported_then_files_hold_them_with_units(
     assert odometry.attrs['units']['pose.pose.position.x'] == 'm'
 
 
+@pytest.mark.nightly
 def test_given_films_when_exported_then_every_step_is_a_frame_with_its_picture(
     bag: Taxinet, tmp_path: Path
 ) -> None:

@@ -125,6 +125,7 @@ def test_given_another_rate_when_recorded_then_bag_and_run_say_the_same(tmp_path
     assert [(one.seq, one.stamp_ns) for one in frames] == [(0, 0), (7, 350_000_000)]
 
 
+@pytest.mark.nightly
 def test_given_another_rate_when_shown_then_films_and_pages_go_as_fast_as_the_run(
     tmp_path, taxinet
 ):

@@ -43,6 +43,7 @@ def same(heard: list[bytes], recorded: list[bytes]) -> bool:
     )
 
 
+@pytest.mark.nightly
 def test_given_a_perception_beside_the_player_then_its_estimates_are_the_recorded_ones(bag):
     renamed = {RENAMED: ESTIMATE}
     with listening(ESTIMATE, interface.CLOCK, **renamed) as (listener, executor, context):

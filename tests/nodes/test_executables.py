@@ -48,7 +48,9 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
         assert info.counts['/camera/image_raw'] == 31
 
 
-@pytest.mark.parametrize('domain', [-1, 233, 500, 'x', '7 '])
+@pytest.mark.parametrize('domain', [
+    233, 'x', *(pytest.param(one, marks=pytest.mark.nightly) for one in (-1, 500, '7 ')),
+])
 def test_given_a_domain_that_is_none_then_the_node_says_so_and_no_exit_code_is_a_verdict(domain):
     node = start('steering_controller', domain)
     _, errors = node.communicate()
@@ -61,21 +63,23 @@ def test_given_a_domain_that_is_none_then_the_node_says_so_and_no_exit_code_is_a
     ('name', 'parameter', 'words'),
     [
         ('steering_controller', 'heading_gan:=1.0', 'did you mean heading_gain?'),
-        ('steering_controller', 'heading_gain:=100.0', 'allowed: 0.0..10.0'),
-        ('steering_controller', 'heading_gain:=fast', 'expecting type'),
-        ('simulator', 'answer_timeout:=-1.0', 'answer_timeout'),
         ('simulator', 'answer_timeout:=5000', 'value: 5000.0: answer_timeout; allowed: 0.1..3600'),
-        ('simulator', 'use_sim_time:=perhaps', 'use_sim_time'),
         ('mtl_monitor', 'formula:=x', "unknown parameter 'formula'"),
         ('taxinet_perception', 'weights:=gone.safetensors', 'no such file'),
-        ('ground_truth_perception', 'weights:=x', "unknown parameter 'weights'"),
         ('recorder', 'min_free:=-5', 'min_free'),
         ('scenario_sampler', 'program:=nowhere', 'known: anywhere, crossing'),
-        ('runtime_monitor', 'monitor:=nothing', "monitor: 'nothing' is unknown; known: original"),
         ('bag_player', 'bag:=gone.mcap', 'gone.mcap'),
-        ('scene_markers', 'colour:=red', "unknown parameter 'colour'"),
-        ('foxglove_server', 'port:=70000', 'allowed: 0..65535'),
-        ('scenario_sampler', 'sampler:=luck', "sampler 'luck' is unknown; known: random"),
+        *(pytest.param(*case, marks=pytest.mark.nightly) for case in [
+            ('steering_controller', 'heading_gain:=100.0', 'allowed: 0.0..10.0'),
+            ('steering_controller', 'heading_gain:=fast', 'expecting type'),
+            ('simulator', 'answer_timeout:=-1.0', 'answer_timeout'),
+            ('simulator', 'use_sim_time:=perhaps', 'use_sim_time'),
+            ('ground_truth_perception', 'weights:=x', "unknown parameter 'weights'"),
+            ('runtime_monitor', 'monitor:=nothing', "'nothing' is unknown; known: original"),
+            ('scene_markers', 'colour:=red', "unknown parameter 'colour'"),
+            ('foxglove_server', 'port:=70000', 'allowed: 0..65535'),
+            ('scenario_sampler', 'sampler:=luck', "sampler 'luck' is unknown; known: random"),
+        ]),
     ],
 )
 def test_given_a_bad_parameter_then_the_node_says_so_in_one_line_and_leaves(

@@ -10,6 +10,7 @@ import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from taxinet_ros.core.place.catalogue import find_place
-from taxinet_ros.core.place.runway_frame import MapPose, runway_frame
+from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 BEGUN_NS = 1_700_000_000_000_000_000
@@ -200,11 +201,16 @@ def transform(parent: str, child: str, x: float, y: float, yaw: float, stamp_ns:
                     translation=make('geometry_msgs/msg/Vector3', **point(x, y))))
 
 
+@cache  # several drives take the same way, and most of the time of making one goes here
+def _geodetic(place: str, x_m: float, y_m: float, yaw_rad: float) -> GeodeticPose:
+    frame = runway_frame(find_place(place).runway)
+    return frame.to_geodetic(MapPose(x_m=x_m, y_m=y_m, z_m=0.0, yaw_rad=yaw_rad))
+
+
 def messages(drive: Drive) -> list[tuple[str, str, Any, int]]:
     """Topic, type, message and time of recording [ns], in the order of time."""
     rng = np.random.default_rng(5)
     runway = find_place(drive.place).runway
-    frame = runway_frame(runway)
     found = list(drive.more)
     for number in range(round(drive.seconds * 10) + 1):
         shown_ns = BEGUN_NS + number * PERIOD_NS
@@ -223,7 +229,7 @@ def messages(drive: Drive) -> list[tuple[str, str, Any, int]]:
         x += math.cos(yaw) * ahead - math.sin(yaw) * left + rng.normal(0, drive.noise_m)
         y += math.sin(yaw) * ahead + math.cos(yaw) * left + rng.normal(0, drive.noise_m)
         stamp_ns = drive.stamp('truth', time_ns)
-        geodetic = frame.to_geodetic(MapPose(x_m=x, y_m=y, z_m=0.0, yaw_rad=yaw))
+        geodetic = _geodetic(drive.place, x, y, yaw)
         if drive.truth == 'fix':
             found.append(('/fix', 'sensor_msgs/msg/NavSatFix', fix(
                 math.degrees(geodetic.latitude_rad) + drive.shift_deg,

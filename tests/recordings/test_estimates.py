@@ -213,6 +213,7 @@ def test_given_a_network_beside_recorded_estimates_then_they_are_compared_frame_
         assert errors(found, 1)[0] == pytest.approx(1.0, abs=0.04)
 
 
+@pytest.mark.nightly
 def test_given_estimates_whose_errors_drift_then_the_other_network_keeps_its_interval(scored):
     drive = Drive(seconds=60, noise_m=0.4, more=heard(
         OURS, lambda ns, cte, he: ours(ns, cte, he + 0.1 * math.sin(ns / 2e10)), noise=(0, 0)))
@@ -326,6 +327,7 @@ def test_given_a_run_of_ours_without_pictures_then_its_estimates_are_scored_as_i
         assert (code, out, err.count('\n'), line in err) == (2, '', 1, True)
 
 
+@pytest.mark.nightly
 def test_given_runs_steered_by_what_is_scored_then_no_latency_is_made_up():
     # Steering makes turns follow from offset and heading, so that shifts look like scales.
     trace = open_recording(GOLDEN / 'taxinet-midday').trace

@@ -66,6 +66,7 @@ def test_given_a_run_of_ours_then_rendered_frames_are_like_the_recorded_and_a_ru
     assert '16:00 cirrus' in out
 
 
+@pytest.mark.nightly
 def test_given_a_place_of_ones_own_then_a_run_starts_there_in_another_process(taxinet, tmp_path):
     place = {**yaml.safe_load(find_place('kmwh_04').document), 'name': 'mine'}
     (tmp_path / 'mine.yaml').write_text(yaml.safe_dump(place))

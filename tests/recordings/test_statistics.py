@@ -23,7 +23,10 @@ def alike_series(rng, count, memory):
     return 1.0 + found
 
 
-@pytest.mark.parametrize('memory', [0.0, 0.8, 0.9])
+@pytest.mark.parametrize('memory', [
+    pytest.param(0.0, marks=pytest.mark.nightly), 0.8,
+    pytest.param(0.9, marks=pytest.mark.nightly),
+])
 def test_given_errors_that_are_alike_then_the_interval_holds_their_mean_as_often_as_it_says(memory):
     rng = np.random.default_rng(3)
     groups = np.zeros(900, np.int64)

@@ -144,6 +144,7 @@ def test_given_something_added_then_the_pictures_of_the_set_itself_stay_the_same
     assert [data.name for data in other.validation_data] == ['nominal']
 
 
+@pytest.mark.nightly
 def test_given_weights_to_begin_from_then_training_goes_on_from_them(tmp_path: Path) -> None:
     first = train(options(tmp_path / 'first.safetensors', epochs=4))
     small_steps = {'seed': 8, 'epochs': 1, 'learning_rate': 1e-8}

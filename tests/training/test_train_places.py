@@ -89,6 +89,7 @@ def test_given_places_when_scenes_are_drawn_then_they_are_by_place_all_around_an
     assert {scene.camera for scene in drawn(('random:7',), 50, cameras=False)} == {'wing'}
 
 
+@pytest.mark.nightly
 def test_given_a_training_on_places_when_interrupted_and_resumed_then_the_weights_are_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,6 +153,7 @@ def test_given_a_view_when_pictures_are_made_then_they_are_those_of_the_eye(
         assert training.cte_m[row] == truth.cte_m
 
 
+@pytest.mark.nightly
 def test_given_folders_that_name_their_cameras_when_trained_on_with_a_view_then_the_card_says_it(
     tmp_path: Path,
 ) -> None:

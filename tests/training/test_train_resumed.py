@@ -76,7 +76,8 @@ def test_an_interrupted_training_ends_with_the_same_weights_to_the_bit(
 
 
 @pytest.mark.parametrize(('last', 'overwrite'), [
-    ('.json', False), ('.json', True), ('.safetensors', False), ('.png', False),
+    ('.json', False), pytest.param('.json', True, marks=pytest.mark.nightly),
+    ('.safetensors', False), pytest.param('.png', False, marks=pytest.mark.nightly),
 ])
 def test_a_training_that_was_killed_while_its_result_was_written_is_resumed(
     last: str, overwrite: bool, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -129,6 +130,7 @@ def test_a_folder_of_something_else_in_the_place_of_the_unfinished_one_is_kept(
     assert own.read_text() == 'mine'
 
 
+@pytest.mark.nightly
 def test_a_training_that_patience_has_ended_does_not_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -63,6 +63,7 @@ def assert_shares(counts: list[int], shares: list[float]) -> None:
     assert chisquare(np.array(counts)[seen], expected[seen]).pvalue > 1e-4
 
 
+@pytest.mark.nightly
 def test_given_a_learned_s_falsif_when_drawn_then_its_histograms_are_the_learned_ones(
     learn: Learn, draw: Callable[..., list[dict[str, Any]]],
 ) -> None:

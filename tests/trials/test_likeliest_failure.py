@@ -112,6 +112,7 @@ def test_given_no_failure_or_another_sampler_then_there_is_none(tmp_path: Path) 
         assert likeliest_failure(name, search.rows) is None
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures('_normals')
 def test_given_more_workers_or_an_interruption_then_the_search_is_the_same(tmp_path: Path) -> None:
     toy.finish(toy.options(tmp_path / 'one', sampler='stress', runs=60), 1, judge=judged)

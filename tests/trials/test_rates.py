@@ -153,6 +153,7 @@ def test_given_a_plan_then_more_or_fewer_runs_are_another_number_than_was_settle
     assert failure_rate([row for row in rows if row.index != 7], 30).runs == 7
 
 
+@pytest.mark.nightly
 def test_given_rejected_scenes_and_a_campaign_extended_until_it_pleases_then_the_interval_holds():
     """With most scenes rejected, every number of runs up to twice the plan counted as planned.
 
@@ -254,6 +255,7 @@ def test_t2_given_any_sampler_then_gate_does_not_pass_at_half_the_true_failure_r
 # Stopping ------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_t15_given_gates_advice_then_following_it_keeps_the_five_per_cent():
     """Look at 60 runs as planned, then after every further one: exactly, for any advice."""
     threshold, planned = 0.9, 60

@@ -94,6 +94,7 @@ def test_a_rejected_point_is_a_pull_of_a_bandit() -> None:
     assert [pulls.sum() for pulls in sampler.sampler._pulls] == [2, 2]
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures('_choosy')
 @pytest.mark.parametrize('name', ['ce', 'active'])
 def test_workers_and_resumptions_make_no_difference_with_feedback(

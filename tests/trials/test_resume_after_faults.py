@@ -194,6 +194,7 @@ def damages(data: bytes) -> Iterator[bytes]:
     yield from (data[:-1], data[:-4096], data[:len(data) // 2])
 
 
+@pytest.mark.nightly
 def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_again(
     tmp_path, capsys
 ):

@@ -218,7 +218,7 @@ def test_given_runs_stopped_too_early_then_the_runway_test_ends_there():
 OUTCOMES = (Outcome.PASS, Outcome.FAIL, Outcome.REJECTED, Outcome.INFRA_ERROR)
 
 
-@settings(deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.data())
 @pytest.mark.parametrize('text', [
     'failures=3', 'half-width=0.2', 'min-satisfaction=0.7', 'max-off-runway=0.4',

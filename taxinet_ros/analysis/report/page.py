@@ -45,12 +45,14 @@ def write_report(
     Arguments and errors as of :func:`write_report_page`.
     """
     pictures = write_pictures(report, page.parent, on_progress)
-    write_report_page(report, page, on_progress=on_progress)
+    drawn = {path.stem: path.read_bytes() for path in pictures}
+    write_report_page(report, page, on_progress=on_progress, drawn=drawn)
     return pictures
 
 
 def write_report_page(
-    report: Report, path: Path, *, on_progress: Callable[[str], None] = lambda words: None
+    report: Report, path: Path, *, on_progress: Callable[[str], None] = lambda words: None,
+    drawn: Mapping[str, bytes] = {},
 ) -> None:
     """Write a report as a page; the same report gives the same bytes.
 
@@ -61,19 +63,22 @@ def write_report_page(
         report: the report.
         path: HTML file to write, in an existing folder.
         on_progress: called with a description of the next step.
+        drawn: pictures by name that are drawn already, as PNG for light pages.
 
     Raises:
         OSError: it cannot be written.
         ValueError: a table is inconsistent.
     """
-    html = _html(report, on_progress)
+    html = _html(report, on_progress, drawn)
     on_progress(f'writing {path.name}')
     write_atomically(path, html)
     if (campaign := record_beside(path)) is not None:
         write_index(campaign)
 
 
-def _html(report: Report, on_progress: Callable[[str], None]) -> str:
+def _html(
+    report: Report, on_progress: Callable[[str], None], drawn: Mapping[str, bytes]
+) -> str:
     views, troubles = _read_runs(report, on_progress)
     style = _theme_style() + _joined(_STYLES)
     script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
@@ -82,7 +87,7 @@ def _html(report: Report, on_progress: Callable[[str], None]) -> str:
         worst=_worst(report, views), rho={clean(run): rho_words(rho)
                                          for run, rho in report.rho.items()},
         made_on=words(provenance()),
-        sections=[_section(section, views, on_progress) for section in report.sections],
+        sections=[_section(section, views, on_progress, drawn) for section in report.sections],
         policy=_policy(style, script), style=Markup(style), script=Markup(script),
         run_data=[data_block(view.data()) for view in views.values()],
         ground_data=data_block(_grounds(views)), run_ids=data_block(list(views)),
@@ -127,12 +132,13 @@ def _read_runs(
 
 
 def _section(
-    section: Section, views: Mapping[str, RunView], on_progress: Callable[[str], None]
+    section: Section, views: Mapping[str, RunView], on_progress: Callable[[str], None],
+    drawn: Mapping[str, bytes],
 ) -> dict[str, Any]:
     pictures = []
     for picture in section.pictures:
         on_progress(f'picture {picture.name}')
-        pictures.append(view_picture(picture))
+        pictures.append(view_picture(picture, drawn.get(picture.name)))
     tables = [view_table(table, views.keys()) for table in section.tables]
     return {'section': section, 'pictures': pictures, 'tables': tables}
 

@@ -89,13 +89,18 @@ def write_pictures(
 _CSS_PIXELS_PER_INCH = 96
 
 
-def view_picture(picture: Picture) -> dict[str, Any]:
-    """What the template takes of a picture: ``data:`` addresses of both themes, size [CSS px]."""
+def view_picture(picture: Picture, light: bytes | None = None) -> dict[str, Any]:
+    """What the template takes of a picture: ``data:`` addresses of both themes, size [CSS px].
+
+    Args:
+        picture: the picture.
+        light: it as PNG for light pages, if it has been drawn.
+    """
     width, height = (round(inches * _CSS_PIXELS_PER_INCH) for inches in picture.size_in)
     return {
         'name': picture.name, 'title': picture.title, 'caption': picture.caption,
-        'light': _address(picture, LIGHT), 'dark': _address(picture, DARK), 'width': width,
-        'height': height,
+        'light': _address(light or png_bytes(picture, LIGHT)),
+        'dark': _address(png_bytes(picture, DARK)), 'width': width, 'height': height,
     }
 
 
@@ -104,9 +109,9 @@ def data_address(data: bytes) -> str:
     return 'data:image/webp;base64,' + base64.b64encode(data).decode('ascii')
 
 
-def _address(picture: Picture, theme: Theme) -> str:
+def _address(png: bytes) -> str:
     """Lossless WebP: a third of the PNG's size."""
     buffer = io.BytesIO()
-    with Image.open(io.BytesIO(png_bytes(picture, theme))) as image:
+    with Image.open(io.BytesIO(png)) as image:
         image.convert('RGB').save(buffer, format='webp', lossless=True, quality=60, method=4)
     return data_address(buffer.getvalue())

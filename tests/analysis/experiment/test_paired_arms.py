@@ -258,6 +258,7 @@ def test_given_p_values_of_a_family_then_holm_s_rule_adjusts_them_in_their_order
     assert holm([]) == []
 
 
+@pytest.mark.nightly
 def test_given_many_arms_without_an_effect_then_one_is_clear_in_five_per_cent_of_experiments():
     """Each against the base at its own 5 %: of eight such arms one was clear too often."""
     names = [f'arm{number}' for number in range(8)]

@@ -6,7 +6,7 @@ import struct
 import pytest
 from any_messages import messages_of
 from bag_edits import GOLDEN
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -40,6 +40,7 @@ def dirty(cdr, walk, garbage):
 
 
 @pytest.mark.parametrize('name', TYPES)
+@settings(max_examples=30, deadline=None)  # of each type
 @given(data=st.data(), garbage=st.binary(min_size=7, max_size=7), tail=st.binary(max_size=3))
 def test_given_any_message_with_garbage_in_its_gaps_then_it_is_what_rosbags_writes(
     name, data, garbage, tail
@@ -76,6 +77,7 @@ def test_given_more_layouts_than_are_remembered_then_every_message_is_fixed():
 
 
 @pytest.mark.parametrize('name', TYPES)
+@settings(max_examples=30, deadline=None)  # of each type
 @given(data=st.data())
 def test_given_bytes_that_are_cut_or_changed_then_it_ends_with_an_error_or_bytes(name, data):
     clean = bytearray(STORE.serialize_cdr(data.draw(messages_of(STORE, name)), name))

@@ -6,7 +6,7 @@ from operator import attrgetter
 import numpy as np
 import pytest
 from any_messages import TYPES, fields_in, messages_of, topic_of
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taxinet_ros.bag.cdr.decode import typestore
@@ -34,6 +34,7 @@ def error_cdr(**change):
 
 
 @pytest.mark.parametrize('name', TYPES)
+@settings(max_examples=30, deadline=None)  # of each type
 @given(data=st.data())
 def test_given_any_message_when_any_of_its_numbers_are_filled_in_then_it_is_the_one_with_them(
     name, data

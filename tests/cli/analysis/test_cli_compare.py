@@ -80,6 +80,7 @@ def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kep
         'folder\n')
 
 
+@pytest.mark.nightly
 def test_given_folders_named_like_networks_and_programs_then_words_that_are_known_win(
     tmp_path, taxinet
 ):
@@ -116,6 +117,7 @@ def test_given_two_shipped_tables_then_they_are_paired_by_scene(tmp_path, taxine
     assert changed['time_of_day'].str.fullmatch(r'\d\d:\d\d').all(), 'as in all reports'
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings('ignore')
 def test_given_a_subset_of_a_tables_scenes_then_it_is_spread_and_as_good_as_fixed():
     scenes = scenes_of(BAGS / 's_falsif_original_4000.parquet', 5)

@@ -86,6 +86,7 @@ def test_given_a_run_with_faults_in_wind_then_it_is_explained_by_runs_without_ea
     assert 'Driven again without the drops on the lens' in page
 
 
+@pytest.mark.nightly
 def test_given_an_error_that_no_change_removes_then_each_cause_is_named_once(taxinet, tmp_path):
     (tmp_path / 'my.py').write_text('def look(image):\n    return 3.0, 0.0\n')
     scene = dataclasses.replace(SCENE, rain_fraction=0.0, duration_s=1.0)

@@ -88,6 +88,7 @@ def test_given_the_runs_camera_then_it_takes_the_moments_again_in_other_scenes(
     assert 'Not changed, as the camera' in (tmp_path / 'x' / 'explain.html').read_text()
 
 
+@pytest.mark.nightly
 def test_given_no_camera_then_recorded_frames_are_used_and_the_line_says_how_to_ask_it(
     bag, peer, taxinet, tmp_path
 ):
@@ -105,6 +106,7 @@ def test_given_no_camera_then_recorded_frames_are_used_and_the_line_says_how_to_
     assert 'Not available: its pictures are of' in (tmp_path / 'x' / 'explain.html').read_text()
 
 
+@pytest.mark.nightly
 def test_given_a_camera_whose_pictures_have_changed_since_then_no_cause_is_named(
     bag, peer, taxinet
 ):

@@ -273,6 +273,7 @@ def test_given_new_requirements_when_added_then_the_table_keeps_them_for_good(ca
     assert 'soon is eventually[0:1](always(abs(cte) <= 3)); choose another name' in err
 
 
+@pytest.mark.nightly
 def test_given_a_plot_then_there_is_a_picture_of_each_bag(campaign, whole, torn, capsys, tmp_path):
     picture = tmp_path / 'one.png'
     specs = ['--spec', SOON, '--spec', 'both=G (abs(steering) <= 0.3 and 2*speed - 1 > he)']

@@ -30,6 +30,7 @@ def test_given_nodes_of_ones_own_then_they_drive_a_run_that_ends_with_a_verdict(
     assert (run.perception, run.controller) == ('bright paint', 'proportional')
 
 
+@pytest.mark.nightly
 def test_given_a_controller_of_ones_own_when_checked_then_it_keeps_the_contract(tmp_path):
     done = taxinet_apart('check-node', CONTROLLER, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -64,6 +64,7 @@ def test_given_a_formula_that_cannot_hold_then_the_exit_code_is_one(tmp_path):
     assert table['rho_on_runway'][0] > 10
 
 
+@pytest.mark.nightly
 def test_given_separate_processes_then_the_table_is_the_same_but_for_the_clock(tmp_path):
     words = ['run', 'nominal', '--perception', 'truth', '--set', 'duration=2', '--seed', '5']
     one = taxinet(*words, '--out', str(tmp_path / 'one'))

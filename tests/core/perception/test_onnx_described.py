@@ -63,7 +63,10 @@ def standardised(levels: Any) -> Any:
 
 @pytest.mark.parametrize(('prepare', 'scaling', 'shape'), [
     (lambda levels: levels / 255, {'divide_by': 255}, ('N', 1, HEIGHT, WIDTH)),
-    (standardised, {'divide_by': 1, 'per_image': 'standardise'}, (1, HEIGHT, WIDTH, 1)),
+    pytest.param(
+        standardised, {'divide_by': 1, 'per_image': 'standardise'}, (1, HEIGHT, WIDTH, 1),
+        marks=pytest.mark.nightly,
+    ),
 ])
 def test_given_a_network_then_its_scaling_layout_outputs_units_and_signs_are_found(
     tmp_path: Path, pictures: Any, prepare: Any, scaling: dict[str, Any], shape: Any

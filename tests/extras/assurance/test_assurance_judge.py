@@ -250,6 +250,7 @@ def test_given_a_calibration_then_its_monitor_is_judged(tmp_path, judging, capsy
     assert '2 scenes; first alarm raised by:' in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 def test_given_a_study_then_it_tells_and_keeps_what_it_found_and_goes_on_after_an_end_amid(
     tmp_path, judging, capsys
 ):
@@ -303,6 +304,7 @@ def test_given_settings_then_they_replace_what_the_program_draws(taxinet, tmp_pa
     assert kept['program'] == f'{judging["program"]} with duration_s=12'
 
 
+@pytest.mark.nightly
 def test_given_a_monitor_that_ends_its_process_then_that_scene_is_left_out_by_name(
     tmp_path, judging, capsys
 ):

@@ -40,6 +40,7 @@ def covered(seed: int, confidence: float, number: int) -> float:
     return float(np.all(held, axis=0).mean())
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('confidence', 'number'), [(0.9, 60), (0.95, 100)])
 def test_given_150_calibrations_then_new_runs_are_covered_as_often_as_the_ranks_say(
     confidence, number

@@ -128,6 +128,7 @@ def test_given_five_outcomes_at_the_gate_then_junit_and_words_tell_them_apart(
     assert [suite.get(name) for name in ('tests', 'failures', 'skipped')] == ['2', '1', '0']
 
 
+@pytest.mark.nightly
 def test_given_five_outcomes_when_analysed_then_screen_page_and_numbers_count_them(
     campaign, taxinet
 ):

@@ -217,7 +217,10 @@ def falls(seen):
 """
 
 
-@pytest.mark.parametrize(('rate_hz', 'images'), [(5, 'none'), (20, 'all'), (40, 'failures')])
+@pytest.mark.parametrize(('rate_hz', 'images'), [
+    pytest.param(5, 'none', marks=pytest.mark.nightly), (20, 'all'),
+    pytest.param(40, 'failures', marks=pytest.mark.nightly),
+])
 def test_given_another_control_rate_then_every_byte_is_the_same(rate_hz, images, tmp_path):
     (tmp_path / 'mine.py').write_text(SENSING + MONITORS)
     (tmp_path / 'mine.yaml').write_text(SENSORS)

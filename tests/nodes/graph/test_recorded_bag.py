@@ -130,6 +130,7 @@ main()
 """
 
 
+@pytest.mark.nightly
 def test_given_files_that_may_not_grow_when_taxinet_runs_then_it_says_so_and_ends_with_four(
     tmp_path,
 ):

@@ -33,6 +33,7 @@ def requests(stop_on: StopOn) -> list[RunRequest]:
     ]
 
 
+@pytest.mark.nightly
 def test_given_violated_when_run_in_three_layouts_then_the_last_step_is_the_same(tmp_path):
     asked = requests(StopOn.VIOLATED)
     options = [GraphOptions(perception='truth', out=tmp_path / name) for name in ('one', 'many')]

@@ -64,6 +64,7 @@ rclpy.shutdown()
 """
 
 
+@pytest.mark.nightly
 def test_given_a_crowd_that_leaves_at_once_then_everybody_gets_out():
     crowd = 6
     with own_domain() as domain:

@@ -262,6 +262,7 @@ def test_paper_given_networks_that_are_all_alike_then_at_most_one_study_in_twent
     assert wrong <= binom.ppf(0.99, studies, SIGNIFICANT)
 
 
+@pytest.mark.nightly
 def test_paper_given_the_border_of_each_test_then_neither_side_is_found_more_often_than_stated(
 ) -> None:
     """Where a statement is neither true nor false, each side's p value is below 5 % in 5 %."""

@@ -370,6 +370,7 @@ def test_given_a_training_that_was_killed_then_it_goes_on_from_its_last_epoch(fi
     assert line.endswith(' --resume')
 
 
+@pytest.mark.nightly
 def test_doctor_given_what_a_stage_has_made_then_it_is_looked_for(finished, tmp_path):
     out = copied(finished, tmp_path)
     made, lost = (out / 'train-halton' / f'halton.{end}' for end in ('safetensors', 'json'))

@@ -178,6 +178,7 @@ def test_given_an_interruption_when_resumed_then_every_byte_is_as_without(
         write_dataset(options(parts, resume=True, seed=5))
 
 
+@pytest.mark.nightly
 def test_given_worker_processes_when_interrupted_and_resumed_then_every_byte_is_as_without(
     tmp_path: Path,
 ) -> None:

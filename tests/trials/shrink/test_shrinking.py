@@ -196,6 +196,7 @@ def test_given_a_run_that_breaks_once_then_it_is_retried_and_if_twice_the_bench_
     assert shrunk(drive(options(path, tmp_path / 'never', resume=True))) == NEAREST
 
 
+@pytest.mark.nightly
 def test_f1_given_a_bench_that_broke_when_resumed_then_the_table_is_that_of_an_undisturbed_one(
     tmp_path
 ):
@@ -255,6 +256,7 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
         "taxinet run 'a b.scenic' --perception truth --set steering.heading_gain=1.5")
 
 
+@pytest.mark.nightly
 def test_given_a_shrinking_that_was_cut_short_then_only_what_was_run_passes_or_matters(tmp_path):
     """A value that fails too was printed as one that passes (rho -0.50)."""
     for runs in range(2, 30):
