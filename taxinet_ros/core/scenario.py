@@ -234,7 +234,7 @@ class Scenario:
             raise UsageError(
                 f'scenario: control_rate_hz is {self.control_rate_hz:g}, not one of '
                 f'{", ".join(map(str, CONTROL_RATES_HZ))}: a period has to be a whole number of '
-                'physics steps, 1/120 s, and of nanoseconds'
+                'physics steps, 1/120 s'
             )
         if not self.runway.crossings:
             object.__setattr__(self, 'crossing', False)
@@ -426,8 +426,8 @@ class Scenario:
 
     @property
     def period_ns(self) -> int:
-        """Time between two control steps [ns]."""
-        return round(NS_PER_S / self.control_rate_hz)
+        """Time between two control steps [ns], rounded down; see :func:`.types.step_stamp_ns`."""
+        return int(NS_PER_S // self.control_rate_hz)
 
     @property
     def points(self) -> Mapping[str, Any]:

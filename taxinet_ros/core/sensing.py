@@ -32,7 +32,7 @@ from taxinet_ros.core.sensors import (
     WheelSpeed,
 )
 from taxinet_ros.core.topics import SENSORS
-from taxinet_ros.core.types import NS_PER_S, AircraftState, quaternion
+from taxinet_ros.core.types import NS_PER_S, AircraftState, quaternion, step_stamp_ns, steps_in
 from taxinet_ros.errors import UsageError
 
 GRAVITY_MPS2 = 9.80665
@@ -59,14 +59,14 @@ class Schedule:
     @property
     def fast(self) -> list[Sensor]:
         """Sensors that need states between control steps."""
-        return [one for one in self.sensors.present if one.period_ns % self.period_ns]
+        return [one for one in self.sensors.present if NS_PER_S // self.period_ns % one.rate_hz]
 
     def due(self, seq: int) -> Iterator[tuple[Sensor, int]]:
         """Sensor and number of each measurement that arrives at a step, in order."""
-        end_ns = seq * self.period_ns
+        begin_ns, end_ns = (step_stamp_ns(one, self.period_ns) for one in (seq - 1, seq))
         for sensor in self.sensors.present:
             delay_ns = round(sensor.delay_s * NS_PER_S)
-            arriving = sensor.between(end_ns - self.period_ns - delay_ns, end_ns - delay_ns)
+            arriving = sensor.between(begin_ns - delay_ns, end_ns - delay_ns)
             yield from ((sensor, number) for number in arriving if not self.lost(sensor, number))
 
     def counts(self, seq: int) -> Counter[str]:
@@ -79,12 +79,12 @@ class Schedule:
             round(one.delay_s * NS_PER_S) for one in self.sensors.present
             if SENSORS[one.name].name == topic
         ), 0)
-        return -(-(stamp_ns + delay_ns) // self.period_ns)
+        return steps_in(stamp_ns + delay_ns, self.period_ns)
 
     def lost(self, sensor: Sensor, number: int) -> bool:
         """Whether a measurement never arrives."""
         share = sensor.loss_fraction
-        if share == 1 or sensor.silent(number * sensor.period_ns):
+        if share == 1 or sensor.silent(sensor.stamp_ns(number)):
             return True
         return share > 0 and self.noise(sensor, number)[-1] < NormalDist().inv_cdf(share)
 
@@ -126,7 +126,7 @@ class Sensing:
         Args:
             states: at its begin, evenly spaced between, and at its end.
         """
-        self._measure(self._seq * self._schedule.period_ns, states)
+        self._measure(step_stamp_ns(self._seq, self._schedule.period_ns), states)
         self._seq += 1
 
     @property
@@ -140,7 +140,7 @@ class Sensing:
     def _measure(self, begin_ns: int, states: Sequence[AircraftState]) -> None:
         """Measure after ``begin_ns``; before the start at the start alone."""
         period_ns, parts = self._schedule.period_ns, len(states) - 1
-        end_ns = begin_ns + period_ns if begin_ns >= 0 else 0
+        end_ns = step_stamp_ns(self._seq + 1, period_ns) if begin_ns >= 0 else 0
         step_s = period_ns / NS_PER_S / parts
         for sensor, number in self._schedule.due(self._seq) if begin_ns >= 0 else ():
             del self._pending[sensor.name, number]
@@ -149,8 +149,8 @@ class Sensing:
             MapPose(x_m=begin.x_m, y_m=begin.y_m, z_m=begin.z_m, yaw_rad=0.0)).heading_rad
         for sensor in self._schedule.sensors.present:
             for number in sensor.between(begin_ns, end_ns):
-                stamp_ns = number * sensor.period_ns
-                at = (stamp_ns - max(begin_ns, 0)) / period_ns * parts
+                stamp_ns = sensor.stamp_ns(number)
+                at = (stamp_ns - max(begin_ns, 0)) / (end_ns - begin_ns) * parts
                 part = max(math.ceil(at), 1)
                 pair = states[part - 1], states[part]
                 taken = self._take(sensor, number, stamp_ns, pair, at - (part - 1), step_s)
@@ -292,5 +292,5 @@ def check_rates(scenario: Scenario, period_ns: int, who: str) -> None:
     for sensor in Schedule(scenario, period_ns).fast:
         raise UsageError(
             f'sensors: {sensor.name}.rate_hz is {sensor.rate_hz}, but {who} gives its state '
-            f'{NS_PER_S // period_ns} times a second; lower it'
+            f'{NS_PER_S // period_ns} times a second; take a divisor of that'
         )

@@ -16,13 +16,12 @@ from taxinet_ros.core.documents import Catalogue, NamedDocument, canonical
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, runway_frame
 from taxinet_ros.core.place.track import Track
-from taxinet_ros.core.types import NS_PER_S, yaw_of
+from taxinet_ros.core.types import NS_PER_S, step_stamp_ns, steps_in, yaw_of
 from taxinet_ros.files.plain_values import Section, read_yaml
 
 NO_SENSORS = 'none'
 """Name of the document without any."""
-RATES_HZ = (1, 2, 5, 10, 20, 40, 50, 80, 100)
-"""Rates of which one period is a whole part or multiple of a control period of 0.1 s."""
+RATES_HZ = (1, 2, 5, 6, 8, 10, 12, 15, 20, 24, 30, 40, 50, 60, 80, 100)
 LONGEST_S = 600.0
 MOST_NOISE_M, MOST_BIAS_M = 50.0, 50.0
 _COMMON = ('rate_hz', 'delay_s', 'loss_percent', 'dropouts')
@@ -49,12 +48,16 @@ class Sensor:
 
     @property
     def period_ns(self) -> int:
-        """Time between two measurements [ns]."""
+        """Time between two measurements [ns], rounded down; see :func:`.types.step_stamp_ns`."""
         return NS_PER_S // self.rate_hz
+
+    def stamp_ns(self, number: int) -> int:
+        """When a measurement is made, counted from 0 [ns]."""
+        return step_stamp_ns(number, self.period_ns)
 
     def between(self, begin_ns: int, end_ns: int) -> range:
         """Numbers of the measurements after ``begin_ns``, up to and including ``end_ns``."""
-        return range(max(begin_ns // self.period_ns + 1, 0), end_ns // self.period_ns + 1)
+        return range(*(max(steps_in(one + 1, self.period_ns), 0) for one in (begin_ns, end_ns)))
 
     def silent(self, stamp_ns: int) -> bool:
         """Whether a time is in a drop-out, the start included and the end not."""

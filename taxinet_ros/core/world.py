@@ -31,7 +31,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CONTROL_RATE, FAULTS
 from taxinet_ros.core.sensing import Sensing, check_rates, sensing_of
 from taxinet_ros.core.sensors import Measured
-from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.types import AircraftState, TaxiCommand, step_stamp_ns
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, near_miss
 from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, names, origin_words
 
@@ -158,11 +158,11 @@ class SimulatedWorld(World):
             scenario, self._aircraft.max_steering_rad, self._period_ns, wheel_rad
         )
         if shown_step(scenario, self._seq, self._period_ns) == self._seq:
-            self._shown = self._aircraft.state, self._seq * self._period_ns
+            self._shown = self._aircraft.state, step_stamp_ns(self._seq, self._period_ns)
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
-        stamp_ns = self._seq * self._period_ns
+        stamp_ns = step_stamp_ns(self._seq, self._period_ns)
         image = self._camera.render(*self._shown) if picture and self._pictures else None
         return Observation(
             seq=self._seq, stamp_ns=stamp_ns, state=self._aircraft.state, image=image,
@@ -172,7 +172,7 @@ class SimulatedWorld(World):
 
     def advance(self, command: TaxiCommand) -> None:
         """Integrate one control period under ``command``."""
-        stamp_ns = self._seq * self._period_ns
+        stamp_ns = step_stamp_ns(self._seq, self._period_ns)
         if self._scenario.signals:
             self._aircraft.follow(self._scenario, stamp_ns)
         before = self._aircraft.state
@@ -182,7 +182,7 @@ class SimulatedWorld(World):
             now = self._aircraft
             self._sensing.advance(now.states if now.traced else [before, now.state])
         if shown_step(self._scenario, self._seq, self._period_ns) == self._seq:
-            self._shown = self._aircraft.state, self._seq * self._period_ns
+            self._shown = self._aircraft.state, step_stamp_ns(self._seq, self._period_ns)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -29,7 +29,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
 from taxinet_ros.core.topics import COMMAND as COMMAND_TOPIC
 from taxinet_ros.core.trace import trace_signals
-from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError, step_stamp_ns
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.estimates import RecordedEstimates, names_topic
@@ -597,7 +597,7 @@ def _watch(found: Score, word: str) -> dict[str, Any]:
             monitor.begin(scenario)
         estimate = NO_ESTIMATE if math.isnan(at['est_cte_m']) else TrackingError(
             cte_m=at['est_cte_m'], he_rad=math.radians(at['est_heading_error_deg']))
-        command = own.get(at['stamp_ns'] - scenario.period_ns, rolling_on(
+        command = own.get(step_stamp_ns(int(steps[row]) - 1, scenario.period_ns), rolling_on(
             scenario.speed_mps)) if own else _command(at, kinematics)
         scores = monitor.scores(Seen(image=pixels, estimate=estimate, command=command))
         largest |= {name: max(score, largest.get(name, score)) for name, score in scores.items()}

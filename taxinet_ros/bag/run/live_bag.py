@@ -26,6 +26,7 @@ from taxinet_ros.core.pacing.step_collector import FreeProgress, Step, StepColle
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.sensing import Schedule
 from taxinet_ros.core.topics import Topic
+from taxinet_ros.core.types import step_stamp_ns
 from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, InfraKind
@@ -136,9 +137,10 @@ class LiveBag(BegunBag):
         return []
 
     def _take_step(self, topic: Topic, cdr: bytes) -> list[int]:
-        seq, off_ns = divmod(stamp_of_cdr(cdr), self.period_ns)
-        if off_ns:
-            what = f'stamped {seq * self.period_ns + off_ns} ns, which is not a control step'
+        stamp_ns = stamp_of_cdr(cdr)
+        seq = stamp_ns // self.period_ns
+        if stamp_ns != step_stamp_ns(seq, self.period_ns):
+            what = f'stamped {stamp_ns} ns, which is not a control step'
             raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
         self._progress.arrived(topic.name, seq)
         return self._add(topic, seq, cdr)
@@ -241,7 +243,7 @@ class LiveBag(BegunBag):
                 self._write_head()
             for seq, messages in [*self._held, *self.steps.torn()]:
                 self._write_step(seq, messages)
-        stamp_ns = self.ended.seq * self.period_ns
+        stamp_ns = step_stamp_ns(self.ended.seq, self.period_ns)
         if self._verdict is not None:
             self._write(topics.VERDICT, self._verdict, stamp_ns)
         self._write(topics.RUN_STATUS, self._ended_cdr, stamp_ns)
@@ -276,7 +278,7 @@ class LiveBag(BegunBag):
         return seqs
 
     def _write_step(self, seq: int, messages: Mapping[str, list[bytes]]) -> None:
-        stamp_ns = seq * self.period_ns
+        stamp_ns = step_stamp_ns(seq, self.period_ns)
         for topic in self._stepped:
             for cdr in messages.get(topic.name, ()):
                 self._write(topic, cdr, stamp_ns)

@@ -52,7 +52,7 @@ from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.topics import Topic
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import TrackingError, step_stamp_ns
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.core.world import ChosenWorld
@@ -353,7 +353,7 @@ class RunBag(BegunBag):
             BagWriteError: an error of the operating system.
         """
         seq = max(seq, 0)
-        stamp_ns = seq * self._period_ns
+        stamp_ns = step_stamp_ns(seq, self._period_ns)
         for topic, cdr in _end(self._run_id, self._specs, seq, stamp_ns, judgement, ending):
             self._write(topic, cdr, stamp_ns)
         if fork:

@@ -14,6 +14,7 @@ from taxinet_ros.cli.bag.input import warn_of_stacks
 from taxinet_ros.cli.show import line_console
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.types import step_stamp_ns
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
@@ -100,7 +101,7 @@ def run_again(
     new = out / run.request.run_id
     row = RunRow.of_run(
         run.request, result, perception=word, bag=new.name,
-        sim_s=max(result.last_seq, 0) * run.request.scenario.period_ns / 1e9,
+        sim_s=step_stamp_ns(max(result.last_seq, 0), run.request.scenario.period_ns) / 1e9,
     )
     console.print(row_line(row))
     if result.outcome is Outcome.INTERRUPTED:

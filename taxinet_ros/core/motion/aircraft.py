@@ -292,7 +292,7 @@ class Aircraft:
             InfraError: JSBSim cannot load or start the model.
             UsageError: the model is incomplete and cannot be measured.
         """
-        self._steps = scenario.period_ns * PHYSICS_HZ // NS_PER_S
+        self._steps = round(PHYSICS_HZ / scenario.control_rate_hz)
         self._period_s = scenario.period_ns / NS_PER_S
         self._step = -1
         self._frame = runway_frame(runway or scenario.runway)

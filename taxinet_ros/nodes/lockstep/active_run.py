@@ -24,7 +24,7 @@ from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.stepped_run import Ending, LiveGraph, SteppedRun
 from taxinet_ros.core.pacing.timing import Timing
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, step_stamp_ns
 from taxinet_ros.core.verdict.judge import check_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -133,7 +133,7 @@ class ActiveRun(LiveGraph):
     @property
     def stamp_ns(self) -> int:
         """Simulated time of the current control step [ns]."""
-        return self.seq * self.scenario.period_ns
+        return step_stamp_ns(self.seq, self.scenario.period_ns)
 
     def listeners(self, topic: topics.Topic) -> set[str]:
         """Nodes that subscribe to a topic, as participants declare for themselves or for others.

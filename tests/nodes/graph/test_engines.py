@@ -217,7 +217,7 @@ def falls(seen):
 """
 
 
-@pytest.mark.parametrize(('rate_hz', 'images'), [(5, 'none'), (20, 'all'), (40, 'failures')])
+@pytest.mark.parametrize(('rate_hz', 'images'), [(5, 'none'), (20, 'all'), (30, 'failures')])
 def test_given_another_control_rate_then_every_byte_is_the_same(rate_hz, images, tmp_path):
     (tmp_path / 'mine.py').write_text(SENSING + MONITORS)
     (tmp_path / 'mine.yaml').write_text(SENSORS)
