@@ -233,7 +233,7 @@ def fork_past(
         before, *replayed, judging=recorded.request.judging, timing=recorded.timing,
         world=world, draws=(recorded.request.seed, recorded.request.index), fork_of=how,
         on_step=_Check(past, how, pictures=eyes.needs_image),
-        nodes=node_words(eyes, hands, world, recorded.timing),
+        nodes=node_words(eyes, hands, world, recorded.timing, before),
     )
 
 

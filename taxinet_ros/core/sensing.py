@@ -13,13 +13,16 @@ import math
 import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxinet_ros.core.place.runway_frame import MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS
 from taxinet_ros.core.sensors import (
     NO_SENSORS,
     Fix,
@@ -27,6 +30,8 @@ from taxinet_ros.core.sensors import (
     Imu,
     Inertial,
     Measured,
+    Picture,
+    SecondCamera,
     Sensor,
     Speed,
     WheelSpeed,
@@ -98,6 +103,41 @@ class Schedule:
         return rows[at]
 
 
+class _View:
+    """What the second camera sees of one scene; made for its first picture."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        camera = scenario.sensor_set.camera
+        assert camera is not None
+        changes: dict[str, Any] = {offset.attribute: 0.0 for offset in CAMERA_OFFSETS}
+        self._scenario = dataclasses.replace(
+            scenario.without_sensors().without_faults(*FAULTS), camera=camera.mount.text, **changes)
+        self._taken: tuple[int, NDArray[np.uint8]] | None = None
+
+    @cached_property
+    def _camera(self) -> Any:
+        from taxinet_ros.core.camera.camera import Camera  # nodes that only read messages need none
+
+        return Camera(self._scenario)
+
+    def picture(self, state: AircraftState, stamp_ns: int) -> Picture:
+        """The picture of a state, which is rendered when it is looked at.
+
+        Raises:
+            ValueError: the camera would be at or below the ground.
+        """
+        from taxinet_ros.core.camera.camera import pose
+
+        pose(state, self._scenario.camera_model)
+        return Picture(stamp_ns=stamp_ns, take=partial(self._take, state, stamp_ns))
+
+    def _take(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
+        # Perception, controller and recorder look at the same one.
+        if self._taken is None or self._taken[0] != stamp_ns:
+            self._taken = stamp_ns, self._camera.render(state, stamp_ns)
+        return self._taken[1]
+
+
 class Sensing:
     """The sensors of one run, which follow the aircraft from step to step.
 
@@ -116,9 +156,14 @@ class Sensing:
         self._schedule = Schedule(scenario, period_ns)
         self.fast = bool(self._schedule.fast)
         self._seq = 0
-        self._pending: dict[tuple[str, int], Fix | Inertial | Speed] = {}
+        self._pending: dict[tuple[str, int], Fix | Inertial | Speed | Picture] = {}
         self._drift_m: _Floats | None = None
+        self.change(scenario)
         self._measure(-1, [state, state])
+
+    def change(self, scenario: Scenario) -> None:
+        """Go on in another scene, as the second camera sees it from now on."""
+        self._view = None if scenario.sensor_set.camera is None else _View(scenario)
 
     def advance(self, states: Sequence[AircraftState]) -> None:
         """Measure in a control period.
@@ -132,7 +177,7 @@ class Sensing:
     @property
     def measured(self) -> Measured:
         """What arrives at the current step."""
-        found: dict[str, list[Fix | Inertial | Speed]] = {}
+        found: dict[str, list[Fix | Inertial | Speed | Picture]] = {}
         for sensor, number in self._schedule.due(self._seq):
             found.setdefault(sensor.name, []).append(self._pending[sensor.name, number])
         return Measured(**{name: tuple(values) for name, values in found.items()})  # type: ignore[arg-type]
@@ -160,7 +205,7 @@ class Sensing:
     def _take(
         self, sensor: Sensor, number: int, stamp_ns: int,
         pair: tuple[AircraftState, AircraftState], share: float, step_s: float,
-    ) -> Fix | Inertial | Speed:
+    ) -> Fix | Inertial | Speed | Picture:
         """One measurement between two states ``step_s`` apart."""
         noise = self._schedule.noise(sensor, number)
         state = between(*pair, share)
@@ -168,6 +213,9 @@ class Sensing:
             return self._fix(sensor, stamp_ns, state, noise)
         if isinstance(sensor, Imu):
             return self._inertial(sensor, stamp_ns, state, pair, step_s, noise)
+        if isinstance(sensor, SecondCamera):
+            assert self._view is not None
+            return self._view.picture(state, stamp_ns)
         assert isinstance(sensor, WheelSpeed)
         speed_mps = state.speed_mps * (1 + sensor.bias_percent / 100)
         return Speed(
@@ -267,7 +315,15 @@ def measured_of(schedule: Schedule, messages: Mapping[str, Sequence[Any]]) -> Me
                 sigma_mps=wheel.noise_mps,
             ) for one in messages.get('wheel', ())
         ) if wheel else (),
+        camera=tuple(
+            Picture(stamp_ns=_stamp_ns(one), take=partial(_pixels, one))
+            for one in messages.get('camera', ())
+        ),
     )
+
+
+def _pixels(message: Any) -> NDArray[np.uint8]:
+    return np.asarray(message.data, np.uint8).reshape(message.height, message.width, 3).view()
 
 
 def _stamp_ns(message: Any) -> int:
@@ -284,11 +340,12 @@ def sensing_of(scenario: Scenario, period_ns: int, state: AircraftState) -> Sens
 
 
 def check_rates(scenario: Scenario, period_ns: int, who: str) -> None:
-    """Refuse sensors that are faster than a world that has states at control steps only.
+    """Refuse sensors that need states between control steps, and a second camera.
 
     Raises:
         UsageError: there is one.
     """
+    scenario.sensor_set.refuse_camera(who)
     for sensor in Schedule(scenario, period_ns).fast:
         raise UsageError(
             f'sensors: {sensor.name}.rate_hz is {sensor.rate_hz}, but {who} gives its state '

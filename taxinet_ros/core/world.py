@@ -153,6 +153,8 @@ class SimulatedWorld(World):
         else:
             self._aircraft = aircraft
         self._scenario = scenario
+        if self._sensing is not None:
+            self._sensing.change(scenario)
         self.__dict__.pop('_camera', None)
         self._steering = SteeringFaults(
             scenario, self._aircraft.max_steering_rad, self._period_ns, wheel_rad

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from taxinet_ros.core import topics
 from taxinet_ros.core.assurance.checks import Kinematics
 from taxinet_ros.core.assurance.monitor import CalibratedMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import alarm_of
@@ -307,7 +308,9 @@ def make_setup(
         raise UsageError(f'against {options.against}: is the perception itself; name another')
     without = all(map(names_topic, networks)) and (
         options.image == NO_IMAGE or not (options.image or recording.of_type(IMAGES)))
-    image = '' if without else recording.topic(options.image, IMAGES, 'image')
+    both = [f'/{topic.name}' for topic in topics.FRAMES]  # of a run of ours: its first camera
+    given = options.image or (both[0] if set(both) <= recording.counts.keys() else '')
+    image = '' if without else recording.topic(given, IMAGES, 'image')
     for option in ('camera', 'monitor', 'dataset'):
         if without and getattr(options, option):
             raise UsageError(f'{option}: without pictures it has no effect')

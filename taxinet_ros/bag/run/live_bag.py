@@ -48,7 +48,7 @@ def stepped_topics(images: bool) -> tuple[Topic, ...]:
     """Topics with messages of control steps, in the order of the bag."""
     return tuple(
         topic for topic in topics.TOPICS
-        if topic.each_step and (images or topic is not topics.IMAGE)
+        if topic.each_step and (images or topic not in topics.FRAMES)
     )
 
 
@@ -83,9 +83,10 @@ class LiveBag(BegunBag):
         }
         self._schedule = Schedule(scene, self.period_ns)
         sensors = scene.sensor_set.names
-        self._sensed = {topics.SENSORS[name].name for name in sensors}
+        sensed = {topics.SENSORS[name] for name in sensors}
+        self._sensed = {topic.name for topic in sensed.intersection(self._stepped)}
         self._transform_of = OdometryTransforms()
-        self._scenario_cdr, self._camera = scenario_cdr, scene.camera_model
+        self._scenario_cdr, self._cameras = scenario_cdr, scene.cameras
         self._awaited = topics.NODE_STATUS.speakers(scenario.participants)
         self._run_id = scenario.run_id
         self._reports: dict[str, bytes] = {}
@@ -97,8 +98,7 @@ class LiveBag(BegunBag):
 
     def clear(self) -> None:
         """Drop steps, verdict and account received so far."""
-        more = self._schedule.counts if self._sensed else None
-        self.steps = StepCollector(self._expected, more)
+        self.steps = StepCollector(self._expected, self._measurements if self._sensed else None)
         self._held: list[Step] = []
         self._verdict: bytes | None = None
         self._account: FreeRunAccount | None = None
@@ -106,6 +106,10 @@ class LiveBag(BegunBag):
             topic.name for topic in (*self._stepped, topics.TIMING)
             if topic.publishers == (topics.SIMULATOR,) and topic.recorded != topics.PER_SAMPLE
         ])
+
+    def _measurements(self, seq: int) -> dict[str, int]:
+        due = self._schedule.counts(seq)
+        return {name: due[name] for name in due if name in self._sensed}
 
     def take(self, topic: Topic, cdr: bytes) -> list[int]:
         """Take a message of any recorded topic; of another run it is ignored.
@@ -264,7 +268,7 @@ class LiveBag(BegunBag):
         for _, cdr in sorted(self._reports.items()):
             if cdr:
                 self._write(topics.NODE_STATUS, cdr, 0)
-        self._write(topics.TF_STATIC, camera_transform(self._camera), 0)
+        self._write(topics.TF_STATIC, camera_transform(*self._cameras), 0)
 
     def _write_steps(self) -> list[int]:
         """Write complete steps, once the head of the bag is on disk."""

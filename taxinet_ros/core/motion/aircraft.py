@@ -300,7 +300,8 @@ class Aircraft:
         if self.model.settled is None or self.model.speed_gains is None:
             self.model = measured_model(self.model)
             if own:
-                check_camera_height(scenario.camera_model, self.model)
+                for camera in scenario.cameras:
+                    check_camera_height(camera, self.model)
         model = self.model
         assert model.settled is not None
         assert model.speed_gains is not None
