@@ -19,7 +19,7 @@ from taxinet_msgs.msg import NodeStatus, Scenario, TrackingError
 
 EACH_STEP = QoSProfile(depth=16)  # reliable, volatile
 LATCHED = QoSProfile(depth=16, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-STEP_NS = 100_000_000  # 10 Hz; of another rate, Scenario.camera has control_rate_hz
+STEP_NS = 10**9 // 10  # 10 Hz; of another rate, Scenario.camera has control_rate_hz
 Y, YAW = 1, 5  # of the six rows x, y, z, roll, pitch, yaw
 ASKED, TOLD = ('camera/image_raw', 'ground_truth/odom'), ('pose', 'line')
 

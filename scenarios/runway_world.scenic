@@ -22,7 +22,7 @@ camera_dy_m [m, left], camera_dz_m [m, up], camera_droll_deg [°, right side dow
 camera_dpitch_deg [°, nose down], camera_dyaw_deg [°, left] (from where the camera is), sensors
 (beside the camera: 'standard', or the path of a YAML file), gnss_noise_m [m], gnss_bias_m [m, left],
 gnss_dropout_start_s [s], gnss_dropout_s [s] (of the GNSS among the sensors), control_rate_hz [Hz, of
-frames, estimates and commands: 5, 8, 10, 20 or 40], datarefs
+frames, estimates and commands: 5, 6, 8, 10, 12, 15, 20, 24, 30, 40 or 60], datarefs
 (the path of a YAML file of X-Plane's variables; single ones by their own names in quotes, such as
 'sim/weather/region/thermal_rate_ms'; for X-Plane only), duration_s [s], place (a
 shipped one by its name, such as 'bikf_10', or the path of a YAML file). Short forms without the

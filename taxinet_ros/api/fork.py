@@ -54,7 +54,14 @@ from taxinet_ros.core.scenario_fields import (
     by_key,
     is_point,
 )
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, yaw_of
+from taxinet_ros.core.types import (
+    NS_PER_S,
+    TaxiCommand,
+    TrackingError,
+    step_stamp_ns,
+    steps_in,
+    yaw_of,
+)
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.registry import KMWH
@@ -96,18 +103,17 @@ class Past:
         Raises:
             UsageError: there is no step at this time.
         """
-        period_s = self.recording.period_ns / NS_PER_S
-        end_s = self.last_seq * period_s
+        period_ns = self.recording.period_ns
+        end_s = step_stamp_ns(self.last_seq, period_ns) / NS_PER_S
         if not 0 <= at_s <= end_s + _OFF_STEP_S:
             raise UsageError(f'fork: {at_s:g} s is not within the run, 0 to {end_s:g} s')
-        step = round(at_s / period_s)
-        if abs(step * period_s - at_s) > _OFF_STEP_S:
-            low_s = int(at_s / period_s) * period_s
+        after = steps_in(round((at_s - _OFF_STEP_S) * NS_PER_S), period_ns)
+        low_s, high_s = (step_stamp_ns(after - k, period_ns) / NS_PER_S for k in (1, 0))
+        if high_s - at_s > _OFF_STEP_S:
             raise UsageError(
-                f'fork: {at_s:g} s is between control steps; take {low_s:g} or '
-                f'{low_s + period_s:g} s'
+                f'fork: {at_s:g} s is between control steps; take {low_s:g} or {high_s:g} s'
             )
-        return step
+        return after
 
 
 def read_past(recording: Recording) -> Past:
@@ -208,7 +214,7 @@ def fork_past(
     gains = {name: value for name, value in settings.items() if name.startswith(_GAIN)}
     scene = {name: value for name, value in settings.items() if name not in gains}
     after = _changed(before, scene)
-    if after.duration_ns < step * before.period_ns:
+    if after.duration_ns < step_stamp_ns(step, before.period_ns):
         raise UsageError(f'fork: duration_s is {after.duration_s:g}, before {at_s:g} s')
     before = dataclasses.replace(before, duration_s=after.duration_s)
     eyes, same_eyes = _perception(past, perception)
@@ -227,7 +233,7 @@ def fork_past(
         before, *replayed, judging=recorded.request.judging, timing=recorded.timing,
         world=world, draws=(recorded.request.seed, recorded.request.index), fork_of=how,
         on_step=_Check(past, how, pictures=eyes.needs_image),
-        nodes=node_words(eyes, hands, world, recorded.timing),
+        nodes=node_words(eyes, hands, world, recorded.timing, before),
     )
 
 
@@ -436,8 +442,8 @@ def find_rescue(
     def saves(step: int) -> bool:
         if step not in forks:
             forks[step] = fork_past(
-                past, at_s=step * period_ns / NS_PER_S, settings=settings, moved=moved,
-                perception=perception, controller=controller,
+                past, at_s=step_stamp_ns(step, period_ns) / NS_PER_S, settings=settings,
+                moved=moved, perception=perception, controller=controller,
                 anywhere=step > 0,  # offsets that are possible at the start are no larger later
             )
             on_fork(forks[step])
@@ -454,12 +460,12 @@ def find_rescue(
     first = max(saved, 0) + 1
     tried = sorted({first + (last - first) * number // probes for number in range(1, probes + 1)})
     later = tuple(
-        step * period_ns / NS_PER_S for step in tried if step > lost and saves(step)
+        step_stamp_ns(step, period_ns) / NS_PER_S for step in tried if step > lost and saves(step)
     ) if lost <= last or saved < 0 else ()
     first_lost = lost if saved >= 0 else 0
     return Rescue(
         saved=forks.get(saved), later_s=later, tried=len(forks),
-        lost_s=None if saved == last else first_lost * period_ns / NS_PER_S,
+        lost_s=None if saved == last else step_stamp_ns(first_lost, period_ns) / NS_PER_S,
     )
 
 

@@ -456,7 +456,7 @@ def drive(
     return Run(
         scenario=scenario, perception=perception.word, fingerprint=perception.fingerprint,
         judging=judging, timing=timing, steps=tuple(steps), judgement=judgement, world=world,
-        nodes=nodes or node_words(perception, controller, world, timing), draws=draws,
+        nodes=nodes or node_words(perception, controller, world, timing, scenario), draws=draws,
         fork_of=fork_of,
     )
 

@@ -17,7 +17,7 @@ from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.traffic.traffic import Holds
-from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, step_stamp_ns
 from taxinet_ros.errors import UsageError
 
 CONTROL_PERIOD_NS = 100_000_000
@@ -73,8 +73,8 @@ def last_step(scenario: Scenario) -> int:
     Raises:
         UsageError: the duration is not a multiple of the control period.
     """
-    steps, rest = divmod(scenario.duration_ns, scenario.period_ns)
-    if rest:
+    steps = scenario.duration_ns // scenario.period_ns
+    if step_stamp_ns(steps, scenario.period_ns) != scenario.duration_ns:
         raise UsageError(
             f'scenario: duration {scenario.duration_s:g} s is not a multiple of the '
             f'control period {scenario.period_ns / 1e9:g} s'

@@ -20,7 +20,7 @@ from taxinet_ros.core.scenario_fields import (
     STEERING_BIAS,
 )
 from taxinet_ros.core.sensors import NO_SENSORS
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, steps_in
 from taxinet_ros.errors import UsageError
 
 
@@ -59,8 +59,8 @@ def frame_lost(scenario: Scenario, stamp_ns: int) -> bool:
 
 def shown_step(scenario: Scenario, seq: int, period_ns: int) -> int:
     """Step whose picture the camera delivers at step ``seq``: that of the onset, while frozen."""
-    onset = -(-round(scenario.fault_onset_s * NS_PER_S) // period_ns)
-    repeats = -(-round(scenario.camera_freeze_s * NS_PER_S) // period_ns)
+    onset = steps_in(round(scenario.fault_onset_s * NS_PER_S), period_ns)
+    repeats = steps_in(round(scenario.camera_freeze_s * NS_PER_S), period_ns)
     return onset if onset < seq <= onset + repeats else seq
 
 

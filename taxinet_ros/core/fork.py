@@ -46,7 +46,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.sensors import NO_SENSORS, Measured
 from taxinet_ros.core.signals import kept_signals
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, step_stamp_ns
 from taxinet_ros.core.world import ChosenWorld, SimulatedWorld, World
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import FORK
@@ -105,7 +105,7 @@ class Fork:
     @property
     def at_s(self) -> float:
         """Simulated time of the step [s]."""
-        return self.step * self.scenario.period_ns / NS_PER_S
+        return step_stamp_ns(self.step, self.scenario.period_ns) / NS_PER_S
 
     def changes(self, before: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
         """Values before and after, in the user's units, by the scenario keys that change.

@@ -18,7 +18,7 @@ from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
 from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import TaxiCommand, TrackingError, step_stamp_ns
 from taxinet_ros.core.verdict.judge import Judge, Judgement
 from taxinet_ros.core.verdict.judging import StopOn
 from taxinet_ros.core.world import SimulatedWorld, WorldMaker, check_picture, closing
@@ -66,7 +66,7 @@ class LateCommands:
 
         Call once per step, in order.
         """
-        now_ns = seq * self._period_ns
+        now_ns = step_stamp_ns(seq, self._period_ns)
         delay_ns = next(self._latencies_ns) + loop_delay_ns(self._scenario, now_ns)
         self.answers.put(seq, now_ns + delay_ns, command)
         return self.answers.newest(now_ns)
@@ -111,7 +111,7 @@ def run_closed_loop(
         commands = LateCommands(timing, *draws, scenario)
         period_ns = scenario.period_ns
         judge = Judge(
-            specs, world.last_seq * period_ns, period_ns, stop_on, assumptions,
+            specs, step_stamp_ns(world.last_seq, period_ns), period_ns, stop_on, assumptions,
             scenario.line.half_width_m,
         )
         clearance = Clearance(scenario)

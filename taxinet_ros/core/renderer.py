@@ -138,6 +138,7 @@ class ChosenRenderer:
         Raises:
             UsageError: there is such a value.
         """
+        scenario.sensor_set.refuse_camera(self.words)
         hidden = [
             field.key for field in (*_LOOK, *CAMERA_OFFSETS)
             if (field.carrier or field.key) not in self.shows

@@ -234,7 +234,7 @@ class Scenario:
             raise UsageError(
                 f'scenario: control_rate_hz is {self.control_rate_hz:g}, not one of '
                 f'{", ".join(map(str, CONTROL_RATES_HZ))}: a period has to be a whole number of '
-                'physics steps, 1/120 s, and of nanoseconds'
+                'physics steps, 1/120 s'
             )
         if not self.runway.crossings:
             object.__setattr__(self, 'crossing', False)
@@ -275,6 +275,12 @@ class Scenario:
             raise UsageError(
                 f'scenario: {given[0]} has no effect without a gnss among the sensors; set the key '
                 'sensors, as in sensors=standard'
+            )
+        second = find_sensors(self.sensors).camera
+        if second is not None and self.control_rate_hz % second.rate_hz:
+            raise UsageError(
+                f'scenario: sensors: camera.rate_hz is {second.rate_hz}, not a divisor of '
+                f'control_rate_hz, which is {self.control_rate_hz:g}'
             )
         if self.gnss_dropout_start_s and not self.gnss_dropout_s:
             raise UsageError(
@@ -347,9 +353,10 @@ class Scenario:
                 f'scenario: aircraft {model.name}: speed_mps is {self.speed_mps:g}, it taxis at '
                 f'{low_mps:g} to {high_mps:g}'
             )
-        camera = self.camera_model  # refuses offsets that turn it too far
+        cameras = self.cameras  # refuses offsets that turn one too far
         if model.settled is not None:  # else when it has been measured
-            check_camera_height(camera, model)
+            for camera in cameras:
+                check_camera_height(camera, model)
 
     def _checked(self, field: ScenarioField, limits: tuple[float, float] | None) -> Any:
         if field is DISTANCE and not self.line.is_runway:
@@ -407,6 +414,12 @@ class Scenario:
         return Rig(camera=self.camera_model, aircraft=self.aircraft_model)
 
     @property
+    def cameras(self) -> tuple[CameraModel, ...]:
+        """Its camera, and the second one if its sensors have one."""
+        second = find_sensors(self.sensors).camera
+        return (self.camera_model,) if second is None else (self.camera_model, second.mount)
+
+    @property
     def sensor_set(self) -> Sensors:
         """Its sensors beside the camera, with its noise, bias and drop-out of the GNSS."""
         return find_sensors(self.sensors).with_gnss(
@@ -426,8 +439,8 @@ class Scenario:
 
     @property
     def period_ns(self) -> int:
-        """Time between two control steps [ns]."""
-        return round(NS_PER_S / self.control_rate_hz)
+        """Time between two control steps [ns], rounded down; see :func:`.types.step_stamp_ns`."""
+        return int(NS_PER_S // self.control_rate_hz)
 
     @property
     def points(self) -> Mapping[str, Any]:

@@ -48,8 +48,8 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 RUNWAY_STATES = ('dry', 'auto', 'wet', 'icy')
 """Runway conditions, which set the friction; ``auto``: wet if it rains, else dry."""
 
-CONTROL_RATES_HZ = (5, 8, 10, 20, 40)
-"""Rates whose period is a whole number of physics steps, 1/120 s, and of nanoseconds."""
+CONTROL_RATES_HZ = (5, 6, 8, 10, 12, 15, 20, 24, 30, 40, 60)
+"""Rates whose period is a whole number of physics steps, 1/120 s."""
 
 CONSTANT, LINEAR, CUBIC = FORMS = ('constant', 'linear', 'cubic')
 """How a value goes from one control point to the next."""

@@ -13,13 +13,16 @@ import math
 import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxinet_ros.core.place.runway_frame import MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS, FAULTS
 from taxinet_ros.core.sensors import (
     NO_SENSORS,
     Fix,
@@ -27,12 +30,15 @@ from taxinet_ros.core.sensors import (
     Imu,
     Inertial,
     Measured,
+    Picture,
+    SecondCamera,
     Sensor,
     Speed,
     WheelSpeed,
 )
 from taxinet_ros.core.topics import SENSORS
-from taxinet_ros.core.types import NS_PER_S, AircraftState, quaternion
+from taxinet_ros.core.traffic.traffic import NOTHING_HELD, Holds
+from taxinet_ros.core.types import NS_PER_S, AircraftState, quaternion, step_stamp_ns, steps_in
 from taxinet_ros.errors import UsageError
 
 GRAVITY_MPS2 = 9.80665
@@ -59,14 +65,14 @@ class Schedule:
     @property
     def fast(self) -> list[Sensor]:
         """Sensors that need states between control steps."""
-        return [one for one in self.sensors.present if one.period_ns % self.period_ns]
+        return [one for one in self.sensors.present if NS_PER_S // self.period_ns % one.rate_hz]
 
     def due(self, seq: int) -> Iterator[tuple[Sensor, int]]:
         """Sensor and number of each measurement that arrives at a step, in order."""
-        end_ns = seq * self.period_ns
+        begin_ns, end_ns = (step_stamp_ns(one, self.period_ns) for one in (seq - 1, seq))
         for sensor in self.sensors.present:
             delay_ns = round(sensor.delay_s * NS_PER_S)
-            arriving = sensor.between(end_ns - self.period_ns - delay_ns, end_ns - delay_ns)
+            arriving = sensor.between(begin_ns - delay_ns, end_ns - delay_ns)
             yield from ((sensor, number) for number in arriving if not self.lost(sensor, number))
 
     def counts(self, seq: int) -> Counter[str]:
@@ -79,12 +85,12 @@ class Schedule:
             round(one.delay_s * NS_PER_S) for one in self.sensors.present
             if SENSORS[one.name].name == topic
         ), 0)
-        return -(-(stamp_ns + delay_ns) // self.period_ns)
+        return steps_in(stamp_ns + delay_ns, self.period_ns)
 
     def lost(self, sensor: Sensor, number: int) -> bool:
         """Whether a measurement never arrives."""
         share = sensor.loss_fraction
-        if share == 1 or sensor.silent(number * sensor.period_ns):
+        if share == 1 or sensor.silent(sensor.stamp_ns(number)):
             return True
         return share > 0 and self.noise(sensor, number)[-1] < NormalDist().inv_cdf(share)
 
@@ -96,6 +102,41 @@ class Schedule:
             rng = np.random.default_rng([*self._seed, block, *sensor.name.encode()])
             rows = self._drawn[sensor.name, block] = rng.standard_normal((_BLOCK, _DRAWS)).tolist()
         return rows[at]
+
+
+class _View:
+    """What the second camera sees of one scene; made for its first picture."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        camera = scenario.sensor_set.camera
+        assert camera is not None
+        changes: dict[str, Any] = {offset.attribute: 0.0 for offset in CAMERA_OFFSETS}
+        self._scenario = dataclasses.replace(
+            scenario.without_sensors().without_faults(*FAULTS), camera=camera.mount.text, **changes)
+        self._taken: tuple[int, NDArray[np.uint8]] | None = None
+
+    @cached_property
+    def _camera(self) -> Any:
+        from taxinet_ros.core.camera.camera import Camera  # nodes that only read messages need none
+
+        return Camera(self._scenario)
+
+    def picture(self, state: AircraftState, stamp_ns: int, held: Holds) -> Picture:
+        """The picture of a state, which is rendered when it is looked at.
+
+        Raises:
+            ValueError: the camera would be at or below the ground.
+        """
+        from taxinet_ros.core.camera.camera import pose
+
+        pose(state, self._scenario.camera_model)
+        return Picture(stamp_ns=stamp_ns, take=partial(self._take, state, stamp_ns, held))
+
+    def _take(self, state: AircraftState, stamp_ns: int, held: Holds) -> NDArray[np.uint8]:
+        # Perception, controller and recorder look at the same one.
+        if self._taken is None or self._taken[0] != stamp_ns:
+            self._taken = stamp_ns, self._camera.render(state, stamp_ns, held=held)
+        return self._taken[1]
 
 
 class Sensing:
@@ -116,23 +157,31 @@ class Sensing:
         self._schedule = Schedule(scenario, period_ns)
         self.fast = bool(self._schedule.fast)
         self._seq = 0
-        self._pending: dict[tuple[str, int], Fix | Inertial | Speed] = {}
+        self._pending: dict[tuple[str, int], Fix | Inertial | Speed | Picture] = {}
         self._drift_m: _Floats | None = None
+        self._held = NOTHING_HELD
+        self.change(scenario)
         self._measure(-1, [state, state])
 
-    def advance(self, states: Sequence[AircraftState]) -> None:
+    def change(self, scenario: Scenario) -> None:
+        """Go on in another scene, as the second camera sees it from now on."""
+        self._view = None if scenario.sensor_set.camera is None else _View(scenario)
+
+    def advance(self, states: Sequence[AircraftState], held: Holds = NOTHING_HELD) -> None:
         """Measure in a control period.
 
         Args:
             states: at its begin, evenly spaced between, and at its end.
+            held: others on the ground that the aircraft holds at its end.
         """
-        self._measure(self._seq * self._schedule.period_ns, states)
+        self._held = held
+        self._measure(step_stamp_ns(self._seq, self._schedule.period_ns), states)
         self._seq += 1
 
     @property
     def measured(self) -> Measured:
         """What arrives at the current step."""
-        found: dict[str, list[Fix | Inertial | Speed]] = {}
+        found: dict[str, list[Fix | Inertial | Speed | Picture]] = {}
         for sensor, number in self._schedule.due(self._seq):
             found.setdefault(sensor.name, []).append(self._pending[sensor.name, number])
         return Measured(**{name: tuple(values) for name, values in found.items()})  # type: ignore[arg-type]
@@ -140,17 +189,18 @@ class Sensing:
     def _measure(self, begin_ns: int, states: Sequence[AircraftState]) -> None:
         """Measure after ``begin_ns``; before the start at the start alone."""
         period_ns, parts = self._schedule.period_ns, len(states) - 1
-        end_ns = begin_ns + period_ns if begin_ns >= 0 else 0
+        end_ns = step_stamp_ns(self._seq + 1, period_ns) if begin_ns >= 0 else 0
         step_s = period_ns / NS_PER_S / parts
         for sensor, number in self._schedule.due(self._seq) if begin_ns >= 0 else ():
             del self._pending[sensor.name, number]
         begin = states[0]  # in one period the meridian turns by less than a millionth of a degree
-        self._east_rad = math.pi / 2 - runway_frame(self._schedule.scenario.runway).to_geodetic(
-            MapPose(x_m=begin.x_m, y_m=begin.y_m, z_m=begin.z_m, yaw_rad=0.0)).heading_rad
+        if self._schedule.sensors.imu is not None:
+            self._east_rad = math.pi / 2 - runway_frame(self._schedule.scenario.runway).to_geodetic(
+                MapPose(x_m=begin.x_m, y_m=begin.y_m, z_m=begin.z_m, yaw_rad=0.0)).heading_rad
         for sensor in self._schedule.sensors.present:
             for number in sensor.between(begin_ns, end_ns):
-                stamp_ns = number * sensor.period_ns
-                at = (stamp_ns - max(begin_ns, 0)) / period_ns * parts
+                stamp_ns = sensor.stamp_ns(number)
+                at = (stamp_ns - max(begin_ns, 0)) / (end_ns - begin_ns) * parts
                 part = max(math.ceil(at), 1)
                 pair = states[part - 1], states[part]
                 taken = self._take(sensor, number, stamp_ns, pair, at - (part - 1), step_s)
@@ -160,7 +210,7 @@ class Sensing:
     def _take(
         self, sensor: Sensor, number: int, stamp_ns: int,
         pair: tuple[AircraftState, AircraftState], share: float, step_s: float,
-    ) -> Fix | Inertial | Speed:
+    ) -> Fix | Inertial | Speed | Picture:
         """One measurement between two states ``step_s`` apart."""
         noise = self._schedule.noise(sensor, number)
         state = between(*pair, share)
@@ -168,6 +218,9 @@ class Sensing:
             return self._fix(sensor, stamp_ns, state, noise)
         if isinstance(sensor, Imu):
             return self._inertial(sensor, stamp_ns, state, pair, step_s, noise)
+        if isinstance(sensor, SecondCamera):
+            assert self._view is not None
+            return self._view.picture(state, stamp_ns, self._held)  # exposed at control steps
         assert isinstance(sensor, WheelSpeed)
         speed_mps = state.speed_mps * (1 + sensor.bias_percent / 100)
         return Speed(
@@ -267,7 +320,15 @@ def measured_of(schedule: Schedule, messages: Mapping[str, Sequence[Any]]) -> Me
                 sigma_mps=wheel.noise_mps,
             ) for one in messages.get('wheel', ())
         ) if wheel else (),
+        camera=tuple(
+            Picture(stamp_ns=_stamp_ns(one), take=partial(_pixels, one))
+            for one in messages.get('camera', ())
+        ),
     )
+
+
+def _pixels(message: Any) -> NDArray[np.uint8]:
+    return np.asarray(message.data, np.uint8).reshape(message.height, message.width, 3).view()
 
 
 def _stamp_ns(message: Any) -> int:
@@ -284,13 +345,14 @@ def sensing_of(scenario: Scenario, period_ns: int, state: AircraftState) -> Sens
 
 
 def check_rates(scenario: Scenario, period_ns: int, who: str) -> None:
-    """Refuse sensors that are faster than a world that has states at control steps only.
+    """Refuse sensors that need states between control steps, and a second camera.
 
     Raises:
         UsageError: there is one.
     """
+    scenario.sensor_set.refuse_camera(who)
     for sensor in Schedule(scenario, period_ns).fast:
         raise UsageError(
             f'sensors: {sensor.name}.rate_hz is {sensor.rate_hz}, but {who} gives its state '
-            f'{NS_PER_S // period_ns} times a second; lower it'
+            f'{NS_PER_S // period_ns} times a second; take a divisor of that'
         )

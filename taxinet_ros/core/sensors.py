@@ -1,28 +1,35 @@
 """Sensors beside the camera: which there are, from YAML files and scenarios, and what they measure.
 
-All are at the aircraft's reference point, ``base_link``. What a sensor delivers depends on
-simulated time and the true state alone (:mod:`taxinet_ros.core.sensing`).
+All but the second camera are at the aircraft's reference point, ``base_link``. What a sensor
+delivers depends on simulated time and the true state alone (:mod:`taxinet_ros.core.sensing`).
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from taxinet_ros.core.documents import Catalogue, NamedDocument, canonical
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, runway_frame
 from taxinet_ros.core.place.track import Track
-from taxinet_ros.core.types import NS_PER_S, yaw_of
-from taxinet_ros.files.plain_values import Section, read_yaml
+from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.rig.catalogue import CAMERAS
+from taxinet_ros.core.types import NS_PER_S, step_stamp_ns, steps_in, yaw_of
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
 NO_SENSORS = 'none'
 """Name of the document without any."""
-RATES_HZ = (1, 2, 5, 10, 20, 40, 50, 80, 100)
-"""Rates of which one period is a whole part or multiple of a control period of 0.1 s."""
+RATES_HZ = (1, 2, 5, 6, 8, 10, 12, 15, 20, 24, 30, 40, 50, 60, 80, 100)
+"""Rates of sensors; a second camera has only those that divide the control rate."""
 LONGEST_S = 600.0
 MOST_NOISE_M, MOST_BIAS_M = 50.0, 50.0
 _COMMON = ('rate_hz', 'delay_s', 'loss_percent', 'dropouts')
@@ -49,12 +56,16 @@ class Sensor:
 
     @property
     def period_ns(self) -> int:
-        """Time between two measurements [ns]."""
+        """Time between two measurements [ns], rounded down; see :func:`.types.step_stamp_ns`."""
         return NS_PER_S // self.rate_hz
+
+    def stamp_ns(self, number: int) -> int:
+        """When a measurement is made, counted from 0 [ns]."""
+        return step_stamp_ns(number, self.period_ns)
 
     def between(self, begin_ns: int, end_ns: int) -> range:
         """Numbers of the measurements after ``begin_ns``, up to and including ``end_ns``."""
-        return range(max(begin_ns // self.period_ns + 1, 0), end_ns // self.period_ns + 1)
+        return range(*(max(steps_in(one + 1, self.period_ns), 0) for one in (begin_ns, end_ns)))
 
     def silent(self, stamp_ns: int) -> bool:
         """Whether a time is in a drop-out, the start included and the end not."""
@@ -118,6 +129,18 @@ class WheelSpeed(Sensor):
     bias_percent: float = 0.0
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SecondCamera(Sensor):
+    """A second camera, without the faults of lens and sensor, which are the first one's.
+
+    Attributes:
+        mount: its mounting and lens.
+    """
+
+    name: str = 'camera'
+    mount: CameraModel
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sensors(NamedDocument):
     """The sensors of a scenario beside its camera; None: not there."""
@@ -125,16 +148,30 @@ class Sensors(NamedDocument):
     gnss: Gnss | None = None
     imu: Imu | None = None
     wheel: WheelSpeed | None = None
+    camera: SecondCamera | None = None
 
     @property
     def present(self) -> tuple[Sensor, ...]:
         """Those that are there."""
-        return tuple(one for one in (self.gnss, self.imu, self.wheel) if one is not None)
+        every = self.gnss, self.imu, self.wheel, self.camera
+        return tuple(one for one in every if one is not None)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Keys of those that are there."""
         return tuple(one.name for one in self.present)
+
+    def refuse_camera(self, who: str) -> None:
+        """Refuse a second camera: only our own renderer in our own world takes its pictures.
+
+        Raises:
+            UsageError: there is one.
+        """
+        if self.camera is not None:
+            raise UsageError(
+                f'sensors: camera: {who} does not take the pictures of a second camera; leave it '
+                'out'
+            )
 
     def with_gnss(
         self, *, noise_m: float, bias_m: float, start_s: float, length_s: float
@@ -228,6 +265,26 @@ class Speed:
     sigma_mps: float
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Picture:
+    """One picture of the second camera, taken when it is looked at: a run without is no slower.
+
+    Attributes:
+        stamp_ns: when it was exposed [ns].
+        take: gives its pixels, the same every time.
+    """
+
+    stamp_ns: int
+    take: Callable[[], NDArray[np.uint8]]
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """Pixels, (height, width, 3) uint8 RGB of its mount, read-only."""
+        image = self.take()
+        image.flags.writeable = False
+        return image
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Measured:
     """What has arrived since the frame before, oldest first; nothing in a drop-out."""
@@ -235,6 +292,7 @@ class Measured:
     gnss: tuple[Fix, ...] = ()
     imu: tuple[Inertial, ...] = ()
     wheel: tuple[Speed, ...] = ()
+    camera: tuple[Picture, ...] = ()
 
 
 def make_sensors(values: object, path: Path, *, shipped: bool = False) -> Sensors:
@@ -248,16 +306,22 @@ def make_sensors(values: object, path: Path, *, shipped: bool = False) -> Sensor
     Raises:
         UsageError: a value is not as it should be.
     """
-    top = Section(path, values, ('gnss', 'imu', 'wheel'))
+    top = Section(path, values, ('gnss', 'imu', 'wheel', 'camera'))
+    document = dict(values) if isinstance(values, dict) else {}
+    camera = _camera(top) if 'camera' in top else None
+    if camera is not None:  # a scenario holds the whole camera
+        text = camera.mount.text
+        mount = json.loads(text) if text.startswith('{') else text
+        document['camera'] = {**document['camera'], 'mount': mount}
     found = Sensors(
         name=path.stem if shipped else 'sensors', title='sensors beside the camera',
-        document=canonical(values if isinstance(values, dict) else {}), shipped=shipped,
+        document=canonical(document), shipped=shipped, camera=camera,
         gnss=_gnss(top) if 'gnss' in top else None,
         imu=_imu(top) if 'imu' in top else None,
         wheel=_wheel(top) if 'wheel' in top else None,
     )
     if not found.present:
-        raise top.wrong('expected one of gnss, imu, wheel; without any, leave the key out')
+        raise top.wrong('expected one of gnss, imu, wheel, camera; without any, leave the key out')
     return found
 
 
@@ -300,6 +364,24 @@ def _wheel(top: Section) -> WheelSpeed:
         rate_hz=rate_hz, delay_s=delay_s, loss_fraction=loss, dropouts=dropouts,
         noise_mps=own.number('noise_mps', 0.0, 50.0, 0.0),
         bias_percent=own.number('bias_percent', -100.0, 100.0, 0.0),
+    )
+
+
+def _camera(top: Section) -> SecondCamera:
+    own = top.section('camera', (*_COMMON, 'mount'))
+    kind = f'one of {", ".join(CAMERAS.shipped)}, the YAML file of a camera, or its keys'
+    given = own.take('mount', kind)
+    if isinstance(given, dict):
+        given = canonical(given)
+    if not isinstance(given, str):
+        raise own.wrong(expected(kind, given), 'mount')
+    # Files are for files: a scenario from a bag has the whole camera.
+    beside = top.path.parent / given if top.path.suffix and not given.startswith('{') else None
+    mount = CAMERAS.find(given) if beside is None or not beside.suffix else CAMERAS.typed(
+        str(beside))
+    rate_hz, delay_s, loss, dropouts = _common(own)
+    return SecondCamera(
+        rate_hz=rate_hz, delay_s=delay_s, loss_fraction=loss, dropouts=dropouts, mount=mount,
     )
 
 

@@ -130,6 +130,18 @@ IMAGE = Topic(
     publishers=(SIMULATOR,), subscribers=(PERCEPTION, RUNTIME_MONITOR), recorded=PER_STEP,
     carries='wing-camera frame, 200 x 360 rgb8',
 )
+CAMERA2 = Topic(
+    name='camera2/image_raw', type_name='sensor_msgs/msg/Image', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(), recorded=PER_SAMPLE,
+    carries='frame of the second camera, if any',
+)
+CAMERA2_INFO = Topic(
+    name='camera2/camera_info', type_name='sensor_msgs/msg/CameraInfo', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(), recorded=None,
+    carries='its intrinsics, with each of its frames',
+)
+FRAMES = IMAGE, CAMERA2
+"""Topics that are recorded only with frames."""
 CAMERA_INFO = Topic(
     name='camera/camera_info', type_name='sensor_msgs/msg/CameraInfo', quality=LOCKSTEP,
     publishers=(SIMULATOR,), subscribers=(), recorded=PER_STEP,
@@ -164,7 +176,7 @@ WHEEL = Topic(
     carries='speed along the body x axis, if the scenario has a wheel speed',
     queue=_QUEUE,
 )
-SENSORS = {'gnss': GNSS, 'imu': IMU, 'wheel': WHEEL}
+SENSORS = {'gnss': GNSS, 'imu': IMU, 'wheel': WHEEL, 'camera': CAMERA2}
 """Topics of the sensors beside the camera, by their keys."""
 ESTIMATE = Topic(
     name='perception/tracking_error', type_name='taxinet_msgs/msg/TrackingError',
@@ -219,13 +231,13 @@ OBITUARY = Topic(
 Any node may publish here, unlike on :data:`TOPICS`, which are reserved for the nodes of the run.
 """
 TOPICS = (
-    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, GNSS, IMU, WHEEL, ESTIMATE,
-    COMMAND, ROBUSTNESS, VERDICT, PROGRESS, TIMING, RUN_STATUS,
+    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA2, CAMERA_INFO, CAMERA2_INFO, ODOMETRY, TRUTH, GNSS,
+    IMU, WHEEL, ESTIMATE, COMMAND, ROBUSTNESS, VERDICT, PROGRESS, TIMING, RUN_STATUS,
 )
 TF_STATIC = Topic(
     name='tf_static', type_name='tf2_msgs/msg/TFMessage', quality=LATCHED,
     publishers=(SIMULATOR,), subscribers=(), recorded=PER_RUN,
-    carries='where camera_optical is in base_link',
+    carries='where camera_optical, and camera2_optical if there is one, are in base_link',
 )
 TF = Topic(
     name='tf', type_name='tf2_msgs/msg/TFMessage', quality=TF2,

@@ -39,6 +39,24 @@ _ROUNDING = 1e-9
 """Relative asymmetry, or negative eigenvalue, that is rounding in the filter that computed it."""
 
 
+def step_stamp_ns(seq: int, period_ns: int) -> int:
+    """Simulated time of a control step [ns], exact at whole seconds.
+
+    A period that is not whole, as of 30 Hz, is rounded down: every third stamp is then 1 ns later
+    than three of it, so that ``stamp_ns // period_ns`` is the step, and no run ends early.
+
+    Args:
+        seq: control step.
+        period_ns: control period, 10⁹ / rate rounded down [ns].
+    """
+    return seq * period_ns + seq * (NS_PER_S % period_ns) // (NS_PER_S // period_ns)
+
+
+def steps_in(time_ns: int, period_ns: int) -> int:
+    """Number of control periods [ns] in a time, rounded up: the first step that is not before."""
+    return -(-time_ns * (NS_PER_S // period_ns) // NS_PER_S)
+
+
 def time_words(time_s: float, width: int = 0) -> str:
     """A simulated time [s] in tenths, or with the decimals that it takes: ``3.0 s``, ``0.125 s``.
 

@@ -33,7 +33,7 @@ from taxinet_ros.core.sensing import Sensing, check_rates, sensing_of
 from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.traffic.motion import TrafficMotion
 from taxinet_ros.core.traffic.traffic import Holds
-from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.types import AircraftState, TaxiCommand, step_stamp_ns
 from taxinet_ros.errors import InfraError, InfraKind, UsageError, near_miss
 from taxinet_ros.registry import FORK, KMWH, WORLDS, Extension, find, known, names, origin_words
 
@@ -157,25 +157,28 @@ class SimulatedWorld(World):
         else:
             self._aircraft = aircraft
         self._scenario = scenario
+        if self._sensing is not None:
+            self._sensing.change(scenario)
         self._held = self._hold()
         self.__dict__.pop('_camera', None)
         self._steering = SteeringFaults(
             scenario, self._aircraft.max_steering_rad, self._period_ns, wheel_rad
         )
         if shown_step(scenario, self._seq, self._period_ns) == self._seq:
-            self._shown = self._aircraft.state, self._seq * self._period_ns, self._held
+            stamp_ns = step_stamp_ns(self._seq, self._period_ns)
+            self._shown = self._aircraft.state, stamp_ns, self._held
 
     def _hold(self) -> Holds:
         """Which others the aircraft holds where it is at the current step."""
         at = self._aircraft.state
-        held = self._motion.step(self._seq * self._period_ns, at.x_m, at.y_m)
+        held = self._motion.step(step_stamp_ns(self._seq, self._period_ns), at.x_m, at.y_m)
         if held is None:
             raise InfraError(InfraKind.SIM, 'simulator', self._seq, f'the aircraft is at {at}')
         return held
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
-        stamp_ns = self._seq * self._period_ns
+        stamp_ns = step_stamp_ns(self._seq, self._period_ns)
         image = None
         if picture and self._pictures:
             state, seen_ns, held = self._shown
@@ -188,7 +191,7 @@ class SimulatedWorld(World):
 
     def advance(self, command: TaxiCommand) -> None:
         """Integrate one control period under ``command``."""
-        stamp_ns = self._seq * self._period_ns
+        stamp_ns = step_stamp_ns(self._seq, self._period_ns)
         if self._scenario.signals:
             self._aircraft.follow(self._scenario, stamp_ns)
         before = self._aircraft.state
@@ -197,9 +200,10 @@ class SimulatedWorld(World):
         self._held = self._hold()
         if self._sensing is not None:
             now = self._aircraft
-            self._sensing.advance(now.states if now.traced else [before, now.state])
+            self._sensing.advance(now.states if now.traced else [before, now.state], self._held)
         if shown_step(self._scenario, self._seq, self._period_ns) == self._seq:
-            self._shown = self._aircraft.state, self._seq * self._period_ns, self._held
+            end_ns = step_stamp_ns(self._seq, self._period_ns)
+            self._shown = self._aircraft.state, end_ns, self._held
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -19,7 +19,7 @@ from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.step_collector import FreeProgress, StepCollector
-from taxinet_ros.core.types import NO_ESTIMATE
+from taxinet_ros.core.types import NO_ESTIMATE, step_stamp_ns
 from taxinet_ros.core.verdict.judge import Judge
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.nodes import interface
@@ -67,7 +67,7 @@ class MtlMonitor(Participant):
         self._last_seq, self._period_ns = last_step(scene), scene.period_ns
         self._stop_on = judging.stop_on
         self._judge = Judge(
-            self._specs, self._last_seq * self._period_ns, self._period_ns, self._stop_on,
+            self._specs, scene.duration_ns, self._period_ns, self._stop_on,
             judging.assumptions, scene.line.half_width_m,
         )
         self._clearance = Clearance(scene)
@@ -116,7 +116,7 @@ class MtlMonitor(Participant):
     def _report_free(self) -> None:
         now = self._free_progress.news(self._judged) if self._free else None
         if now is not None:
-            self._progress.publish(self.progress(now[0], now[1] * self._period_ns))
+            self._progress.publish(self.progress(now[0], step_stamp_ns(now[1], self._period_ns)))
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
         odometry, truth = (messages[topic.name][0] for topic in _INPUTS[:2])

@@ -22,6 +22,7 @@ from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.run.live_bag import PATIENT_LOOKS, LiveBag, stepped_topics
 from taxinet_ros.bag.writer import free_bytes
 from taxinet_ros.core.pacing.lockstep import reports_progress
+from taxinet_ros.core.types import step_stamp_ns
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -189,7 +190,7 @@ class Recorder(Participant):
         if bag is None:
             return
         for seq, arrived in bag.progress(bag.take(topic, cdr)):
-            self._progress.publish(self.progress(seq, arrived * bag.period_ns))
+            self._progress.publish(self.progress(seq, step_stamp_ns(arrived, bag.period_ns)))
         if not topic.each_step:
             self._close_if_whole(bag)
 
@@ -221,14 +222,14 @@ class Recorder(Participant):
 
     def _done(self) -> None:
         """Report that the bag is complete on disk, with the recorded end of the run."""
-        ended, period_ns = self._closed.ended, self._closed.period_ns
-        stamp_ns = ended.seq * period_ns
+        ended = self._closed.ended
+        stamp_ns = step_stamp_ns(ended.seq, self._closed.period_ns)
         self.report(NodeStatus.DONE, seq=ended.seq, stamp_ns=stamp_ns, detail=ended.outcome)
 
     def _on_frame(self, seq: int) -> None:
         """Tell the simulator that this node is working."""
         if reports_progress(seq, self._closed.last_seq):
-            self._progress.publish(self.progress(seq, seq * self._closed.period_ns))
+            self._progress.publish(self.progress(seq, step_stamp_ns(seq, self._closed.period_ns)))
 
     def _on_frames(self, trouble: str) -> None:
         if trouble:

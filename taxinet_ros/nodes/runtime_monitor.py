@@ -22,7 +22,7 @@ from taxinet_ros.core.assurance.monitor import Seen, make_monitor, monitor_names
 from taxinet_ros.core.assurance.switch import Alarm, alarm_of
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, last_step, rolling_on
 from taxinet_ros.core.pacing.lockstep import reports_progress
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import TaxiCommand, TrackingError, step_stamp_ns
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
@@ -153,7 +153,7 @@ class RuntimeMonitor(Participant):
         """Judge every step that is whole."""
         while self.run_id and not self._lost:
             seq, run = self._next, self.run_id
-            stamp_ns = seq * self._period_ns
+            stamp_ns = step_stamp_ns(seq, self._period_ns)
             known = (
                 stamp_ns in self._frames and (run, seq) in self._estimates
                 and (not seq or (run, seq - 1) in self._commands)
@@ -189,7 +189,7 @@ class RuntimeMonitor(Participant):
         if alarm is not None:
             values |= {'alarm': alarm.reason, 'alarm step': str(alarm.step)}
         self._alarms.publish(DiagnosticArray(
-            header=header(seq * self._period_ns, ''),
+            header=header(step_stamp_ns(seq, self._period_ns), ''),
             status=[DiagnosticStatus(
                 level=DiagnosticStatus.OK if alarm is None else DiagnosticStatus.ERROR,
                 name=f'{self.get_name()}: {self.implementation}',

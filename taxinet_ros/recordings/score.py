@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from taxinet_ros.core import topics
 from taxinet_ros.core.assurance.checks import Kinematics
 from taxinet_ros.core.assurance.monitor import CalibratedMonitor, Seen, make_monitor
 from taxinet_ros.core.assurance.switch import alarm_of
@@ -29,7 +30,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CAMERA_OFFSETS
 from taxinet_ros.core.topics import COMMAND as COMMAND_TOPIC
 from taxinet_ros.core.trace import trace_signals
-from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TaxiCommand, TrackingError, step_stamp_ns
 from taxinet_ros.core.user_code import COMMAND
 from taxinet_ros.errors import UsageError
 from taxinet_ros.recordings.estimates import RecordedEstimates, names_topic
@@ -307,7 +308,9 @@ def make_setup(
         raise UsageError(f'against {options.against}: is the perception itself; name another')
     without = all(map(names_topic, networks)) and (
         options.image == NO_IMAGE or not (options.image or recording.of_type(IMAGES)))
-    image = '' if without else recording.topic(options.image, IMAGES, 'image')
+    both = [f'/{topic.name}' for topic in topics.FRAMES]  # of a run of ours: its first camera
+    given = options.image or (both[0] if set(both) <= recording.counts.keys() else '')
+    image = '' if without else recording.topic(given, IMAGES, 'image')
     for option in ('camera', 'monitor', 'dataset'):
         if without and getattr(options, option):
             raise UsageError(f'{option}: without pictures it has no effect')
@@ -597,7 +600,7 @@ def _watch(found: Score, word: str) -> dict[str, Any]:
             monitor.begin(scenario)
         estimate = NO_ESTIMATE if math.isnan(at['est_cte_m']) else TrackingError(
             cte_m=at['est_cte_m'], he_rad=math.radians(at['est_heading_error_deg']))
-        command = own.get(at['stamp_ns'] - scenario.period_ns, rolling_on(
+        command = own.get(step_stamp_ns(int(steps[row]) - 1, scenario.period_ns), rolling_on(
             scenario.speed_mps)) if own else _command(at, kinematics)
         scores = monitor.scores(Seen(image=pixels, estimate=estimate, command=command))
         largest |= {name: max(score, largest.get(name, score)) for name, score in scores.items()}

@@ -279,8 +279,8 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     # Check each with values that allow it: rain with a rainy sky, crossing keys with a crossing.
     allowing = _ALLOWING if key == SENSORS.key else {**_ALLOWING, **_ALLOWING_GNSS}
     scenario = scenario_from_human({**(place or {}), **allowing, key: value})
-    # The period of the fastest control rate divides all others.
-    if scenario.duration_ns * CONTROL_RATES_HZ[-1] % NS_PER_S:
+    # A period into which all others divide.
+    if scenario.duration_ns * math.lcm(*CONTROL_RATES_HZ) % NS_PER_S:
         last_step(scenario)
 
 

@@ -207,7 +207,10 @@ class Loop:
     def _open_bag(self, request: RunRequest, parts: _Parts) -> RunBag | None:
         if self._out is None:
             return None
-        nodes = node_words(parts.perception, parts.controller, parts.world, parts.system.timing)
+        nodes = node_words(
+            parts.perception, parts.controller, parts.world, parts.system.timing,
+            request.scenario,
+        )
         return RunBag(
             run_folder(self._out, request.run_id), request, nodes, images=self._images == 'all',
             attachments=program_attachment(request.program, self._out), make_parents=False,

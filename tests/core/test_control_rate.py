@@ -15,15 +15,26 @@ from taxinet_ros.analysis.report.viewer import read_frames
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.assurance.switch import Alarm, make_controller
-from taxinet_ros.core.control_step import last_step
+from taxinet_ros.core.control_step import last_step, signals
 from taxinet_ros.core.faults import check_free
+from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.motion.aircraft import PHYSICS_HZ
 from taxinet_ros.core.motion.controller import SteeringGains
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.pacing.timing import AT_ONCE
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import CONTROL_RATES_HZ
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, time_words
+from taxinet_ros.core.types import (
+    NS_PER_S,
+    TaxiCommand,
+    TrackingError,
+    step_stamp_ns,
+    steps_in,
+    time_words,
+)
+from taxinet_ros.core.verdict.judge import Judge, check_specs
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld
 from taxinet_ros.errors import UsageError
 from taxinet_ros.extras.forecast.forecast import samples_of
@@ -58,14 +69,52 @@ def braked(scenario: Scenario) -> dict[int, list[object]]:
     return seen
 
 
-def test_given_the_allowed_rates_then_a_period_is_whole_in_physics_steps_and_nanoseconds():
-    assert [hz for hz in range(5, 61) if not (PHYSICS_HZ % hz or NS_PER_S % hz)] == [
-        *CONTROL_RATES_HZ]
+def test_given_the_allowed_rates_then_whole_seconds_are_steps_and_a_stamp_tells_its_step():
+    assert [hz for hz in range(5, 61) if not PHYSICS_HZ % hz] == [*CONTROL_RATES_HZ]
     for rate_hz in CONTROL_RATES_HZ:
-        assert scene(rate_hz).period_ns * rate_hz == NS_PER_S
+        longest = scene(rate_hz, duration_s=600)
+        period_ns = longest.period_ns
+        stamps = [step_stamp_ns(seq, period_ns) for seq in range(last_step(longest) + 1)]
+        assert stamps[::rate_hz] == [second * NS_PER_S for second in range(601)]
+        assert {after - before for before, after in itertools.pairwise(stamps)} == {
+            NS_PER_S // rate_hz, -(-NS_PER_S // rate_hz)}
+        for seq, stamp_ns in enumerate(stamps):
+            assert stamp_ns // period_ns == steps_in(stamp_ns, period_ns) == seq
+            assert steps_in(stamp_ns + 1, period_ns) == seq + 1
 
 
-@pytest.mark.parametrize('rate_hz', [5, 20, 40])
+def test_given_a_period_that_is_not_whole_then_windows_have_the_samples_at_their_ends():
+    scenario = scene(30, duration_s=30.0)
+    specs = [parse_spec(text) for text in (
+        'whole=always[0:30](cte <= 30)', 'from=always[10:30](cte >= 10)',
+        'one=F[10.1:10.1](cte >= 10.1)', 'last=F[10:30](cte >= 30)', 'late=F[30:30](cte >= 29)',
+        'frames=always(unusable_share <= 0.25)',
+    )]
+    check_specs(specs, scenario)
+    judge = Judge(specs, scenario.duration_ns, scenario.period_ns)
+    for seq in range(last_step(scenario) + 1):
+        stamp_ns = step_stamp_ns(seq, scenario.period_ns)
+        heard = TrackingError(cte_m=0.0, he_rad=0.0, valid=seq != 0)
+        now = judge.push(stamp_ns, signals(
+            cte_m=stamp_ns / NS_PER_S, he_rad=0.0, x_m=0.0, speed_mps=5.0, estimate=heard,
+            command=TaxiCommand(steering_rad=0.0, speed_mps=5.0),
+        ))
+    found = [(reading.interval.lower, reading.interval.upper) for reading in now]
+    assert found == [
+        (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (1.0, 1.0),
+        (pytest.approx(0.25 - 1 / 901), pytest.approx(0.25 - 1 / 901)),
+    ]
+
+
+def test_given_a_period_that_is_not_whole_then_a_delay_of_whole_ones_is_whole_steps():
+    scenario = scene(30, loop_delay_s=0.1)
+    late = LateCommands(AT_ONCE, 0, 0, scenario)
+    told = [TaxiCommand(steering_rad=0.0, speed_mps=seq + 1.0) for seq in range(900)]
+    obeyed = [late.at(seq, command).speed_mps for seq, command in enumerate(told)]
+    assert obeyed == [scenario.speed_mps] * 3 + [seq + 1.0 for seq in range(897)]
+
+
+@pytest.mark.parametrize('rate_hz', [5, 20, 40, 30, 60])
 def test_given_commands_that_are_held_then_the_states_and_frames_are_those_at_10_hz(rate_hz):
     usual, other = braked(scene(10, **WINDY)), braked(scene(rate_hz, **WINDY))
     assert (len(usual), len(other)) == (21, 2 * rate_hz + 1)
@@ -105,24 +154,26 @@ def test_given_the_steering_law_then_its_path_is_nearly_that_at_10_hz(rate_hz):
     assert np.abs(other.speed_mps - 5.0).max() < 0.1
 
 
-def test_given_another_rate_when_recorded_then_bag_and_run_say_the_same(tmp_path):
+@pytest.mark.parametrize('rate_hz', [20, 30])
+def test_given_another_rate_when_recorded_then_bag_and_run_say_the_same(rate_hz, tmp_path):
     specs = ['phi_always', 'late=always[1:3](abs(cte) <= 0.4)', 'seen=always(estimate_gap <= 0.04)']
-    run = tx.run(scene(20, **NEAR), perception='truth', specs=specs)
+    run = tx.run(scene(rate_hz, **NEAR), perception='truth', specs=specs)
     recording = open_recording(run.save_bag(tmp_path / 'run', images=False))
     assert recording.run.request.scenario == run.scenario
-    assert recording.period_ns == 50_000_000
+    assert recording.period_ns == NS_PER_S // rate_hz
     assert [check.findings for check in check_bag(tmp_path / 'run').checks] == [()] * 4
     pd = recording.trace
-    assert pd.t_s.tolist() == [seq / 20 for seq in range(61)]
-    assert pd.seq.tolist() == [*range(61)]
+    stamps_ns = [seq * NS_PER_S // rate_hz for seq in range(3 * rate_hz + 1)]
+    assert pd.t_s.tolist() == [stamp_ns / NS_PER_S for stamp_ns in stamps_ns]
+    assert pd.seq.tolist() == [*range(3 * rate_hz + 1)]
     for name, text in zip(run.rho, specs, strict=True):
         judged = recording.judge(text)
         assert judged.interval == run.rho[name]
     assert run.rho['seen'].lower == pytest.approx(0.04)
-    with pytest.raises(UsageError, match='its control_rate_hz is 20, a forecast needs the usual'):
+    with pytest.raises(UsageError, match=f'its control_rate_hz is {rate_hz}, a forecast needs'):
         next(samples_of(recording, 'phi_always'))
     frames = list(recording.frames(lambda seq: seq in (0, 7)))
-    assert [(one.seq, one.stamp_ns) for one in frames] == [(0, 0), (7, 350_000_000)]
+    assert [(one.seq, one.stamp_ns) for one in frames] == [(0, 0), (7, stamps_ns[7])]
 
 
 @pytest.mark.nightly
@@ -163,6 +214,11 @@ def test_given_another_rate_when_forked_then_time_is_counted_in_its_steps():
         run.fork(0.33, perception='truth')
     with pytest.raises(UsageError, match='control_rate_hz cannot change during a run'):
         run.fork(0.35, settings={'control_rate_hz': 10})
+    odd = tx.run(scene(30, **NEAR), perception='truth')
+    for at_s, step in ((7 / 30, 7), (3.0, 90)):
+        assert odd.fork(at_s, perception='truth').fork_of.step == step
+    with pytest.raises(UsageError, match=r'between control steps; take 0\.3 or 0\.333333 s'):
+        odd.fork(0.32, perception='truth')
 
 
 def test_given_a_step_between_tenths_of_a_second_then_its_time_is_told_with_all_its_decimals():
@@ -174,14 +230,15 @@ def test_given_a_step_between_tenths_of_a_second_then_its_time_is_told_with_all_
 
 
 def test_given_a_latency_then_a_command_takes_effect_that_much_later_at_every_rate():
-    for rate_hz in (5, 10, 20, 40):
+    for rate_hz in CONTROL_RATES_HZ:
         run = tx.run(
             scene(rate_hz, duration_s=1.0, loop_delay_s=0.2),
             perception='truth', controller=lambda estimate: (0.1, 5.0),
         )
         yaw = run.trace.he_rad.to_numpy()
         moved = run.trace.t_s[np.abs(yaw) > 1e-4].min()
-        assert 0.2 < moved <= 0.2 + max(1 / rate_hz, 0.1) + 1e-9, rate_hz
+        from_s = math.ceil(0.2 * rate_hz) / rate_hz
+        assert from_s < moved <= from_s + math.ceil(0.1 * rate_hz) / rate_hz + 1e-9, rate_hz
 
 
 def test_given_a_substitute_then_its_delay_and_its_memory_are_in_seconds():
@@ -192,6 +249,9 @@ def test_given_a_substitute_then_its_delay_and_its_memory_are_in_seconds():
     late = made('truth-delayed:0.5', 20)
     seen = [late.estimate(None, TrackingError(cte_m=float(k), he_rad=0.0)).cte_m for k in range(20)]
     assert seen == [0.0] * 10 + [float(k) for k in range(10)]
+    long = made('truth-delayed:30', 30)
+    seen = [long.estimate(None, TrackingError(cte_m=k / 2, he_rad=0.0)).cte_m for k in range(902)]
+    assert seen[-2:] == [0.0, 0.5]
     truth = TrackingError(cte_m=0.0, he_rad=0.0)
     paths = np.array([
         [noisy.estimate(None, truth).cte_m for _ in range(21)]
@@ -214,8 +274,8 @@ def test_given_the_usual_rate_then_nothing_of_it_is_recorded():
 
 
 @pytest.mark.parametrize(('values', 'words'), [
-    ({'control_rate_hz': 30}, 'control_rate_hz is 30, not one of 5, 8, 10, 20, 40: a period has'),
-    ({'control_rate_hz': 60}, r'control_rate_hz is 60, outside 5\.\.40 Hz'),
+    ({'control_rate_hz': 25}, 'control_rate_hz is 25, not one of 5, 6, 8, 10, .* 60: a period has'),
+    ({'control_rate_hz': 80}, r'control_rate_hz is 80, outside 5\.\.60 Hz'),
     ({'control_rate_hz': 'fast'}, 'control_rate_hz needs a number'),
     ({'control_rate_hz': 5, 'duration_s': 2.1}, r'2\.1 s is not a multiple of the control period'),
 ])

@@ -44,7 +44,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.signals import VARYING
 from taxinet_ros.core.traffic.traffic import NOBODY
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import TrackingError, step_stamp_ns
 from taxinet_ros.core.verdict.outcome import Outcome, outcome_of
 
 SHADOW, CROSSING, RAIN, OTHERS = 'shadow', 'crossing', 'rain', 'others'
@@ -368,7 +368,7 @@ def _outcome(
     )
     if state is None:
         raise ValueError(f'step {step}: its state is unknown')
-    image = camera.render(state, step * scenario.period_ns, held=held)
+    image = camera.render(state, step_stamp_ns(step, scenario.period_ns), held=held)
     estimate = look(image, scenario.rig)
     return ChangedView(
         image=image, estimate=estimate, misled_rad=misled_rad(estimate, moment.truth, gains),

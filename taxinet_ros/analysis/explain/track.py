@@ -28,7 +28,7 @@ from taxinet_ros.core.renderer import RunCamera
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.traffic.traffic import NOTHING_HELD, Holds
-from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
+from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError, step_stamp_ns
 from taxinet_ros.core.verdict.run_statistics import deciding_steps
 
 Floats = NDArray[np.float64]
@@ -278,7 +278,8 @@ def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator
         if image is None:
             if shown is None or world.again_words:
                 continue  # a failed run may have a step without a state, or without a frame
-            image = camera().render(shown, step * scenario.period_ns, held=shown_held)
+            image = camera().render(
+                shown, step_stamp_ns(step, scenario.period_ns), held=shown_held)
         yield Moment(
             row=row, seq=seq, t_s=float(track.t_s[row]), x_m=float(track.x_m[row]),
             line=scenario.line, image=image, camera=scenario.camera_model, state=state,

@@ -43,7 +43,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.sensing import Schedule
 from taxinet_ros.core.topics import SENSORS
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, step_stamp_ns
 from taxinet_ros.core.verdict.judge import Judge, Judgement
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -357,7 +357,7 @@ def _judge(record: RunRecord) -> Judge:
     """The judge of the recorded run, before its first sample."""
     scene, judging = scenario_of(record.scenario), Judging.from_message(record.scenario)
     return Judge(
-        judging.parsed_specs, last_step(scene) * scene.period_ns, scene.period_ns,
+        judging.parsed_specs, step_stamp_ns(last_step(scene), scene.period_ns), scene.period_ns,
         judging.stop_on, judging.assumptions, scene.line.half_width_m,
     )
 
@@ -367,7 +367,7 @@ def _whole(samples: RunSamples, most: int) -> RunSamples:
     count = next((
         step for step, (stamp_ns, there) in enumerate(
             zip(samples.stamps_ns, samples.there, strict=True))
-        if stamp_ns != step * samples.period_ns or not there.issuperset(_KEPT)
+        if stamp_ns != step_stamp_ns(step, samples.period_ns) or not there.issuperset(_KEPT)
     ), len(samples.stamps_ns))
     count = max(min(count, most), 0)
     return replace(

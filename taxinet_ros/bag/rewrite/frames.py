@@ -8,7 +8,7 @@ frames.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from taxinet_ros.bag.cdr.decode import decode
@@ -25,7 +25,8 @@ from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder
 
-IMAGE, CAMERA_INFO = f'/{topics.IMAGE}', f'/{topics.CAMERA_INFO}'
+IMAGE, CAMERA2, CAMERA_INFO = (
+    f'/{name}' for name in (topics.IMAGE, topics.CAMERA2, topics.CAMERA_INFO))
 _IMAGE_TYPE = 'sensor_msgs/msg/Image'
 _DRAFT = '.with-frames'
 
@@ -45,9 +46,10 @@ def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
     frames = _Frames(recording)
     for message in recording.whole_messages((IMAGE, CAMERA_INFO).__contains__):
         seq = message.stamp_ns // recording.period_ns
-        cdr = message.cdr if message.topic.name == IMAGE else frames.missing(message)
-        if cdr is not None:
-            yield seq, cdr
+        if message.topic.name == IMAGE:
+            yield seq, message.cdr
+        else:
+            yield from ((seq, cdr) for name, cdr in frames.missing(message) if name == IMAGE)
 
 
 def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
@@ -67,10 +69,9 @@ def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) 
     if info.trouble:
         raise UsageError(f'{info.trouble}; repair it first: taxinet bag recover {source} --out NEW')
     try:
-        topics = _topics(info)
-        image = next(topic for topic in topics if topic.name == IMAGE)
+        topics = _topics(recording)
         with copy_of(info, folder, topics, min_free_bytes) as bag:
-            for stamp_ns in written_steps(bag, _with_frames(recording, image)):
+            for stamp_ns in written_steps(bag, _with_frames(recording, topics)):
                 yield stamp_ns // recording.period_ns
     except WorldDiffers:
         shutil.rmtree(folder)  # It would look like an unfinished recording.
@@ -107,35 +108,41 @@ class _Frames:
         self._period_ns = recording.period_ns
         self._states = recording.observations(lambda seq: seq not in self.recorded)
 
-    def missing(self, camera_info: StoredMessage) -> bytes | None:
-        """Frame of this camera info; None if it is recorded or not available.
+    def missing(self, camera_info: StoredMessage) -> Iterator[tuple[str, bytes]]:
+        """Topic and frame with this camera info, also the second camera's; none if recorded.
 
         A failed run may have a step without the aircraft's state.
         """
         seq = camera_info.stamp_ns // self._period_ns
         if seq in self.recorded:
-            return None
+            return
         for now in self._states:
             if now.seq == seq and now.image is not None:
                 header = decode(camera_info.topic, camera_info.cdr).header
-                return image_cdr(now.image, now.stamp_ns, header.frame_id)
-        return None
+                yield IMAGE, image_cdr(now.image, now.stamp_ns, header.frame_id)
+                for one in now.measured.camera if now.measured is not None else ():
+                    yield CAMERA2, image_cdr(one.image, one.stamp_ns, topics.CAMERA2_FRAME)
+                return
 
 
-def _topics(info: BagInfo) -> list[TopicInfo]:
+def _topics(recording: Recording) -> list[TopicInfo]:
     """Topics of a bag including images, inserted before camera info with the same QoS."""
+    info = recording.info
     topics = list(info.topics)
-    if IMAGE not in info.counts:
-        place = [topic.name for topic in topics].index(CAMERA_INFO)
-        image = describe_topic(name=IMAGE, type_name=_IMAGE_TYPE, qos=topics[place].qos)
-        topics.insert(place, image)
+    second = len(recording.run.request.scenario.cameras) > 1
+    for name in (IMAGE, *((CAMERA2,) if second else ())):
+        if name not in info.counts:
+            place = [topic.name for topic in topics].index(CAMERA_INFO)
+            image = describe_topic(name=name, type_name=_IMAGE_TYPE, qos=topics[place].qos)
+            topics.insert(place, image)
     return topics
 
 
-def _with_frames(recording: Recording, image: TopicInfo) -> Iterator[StoredMessage]:
+def _with_frames(recording: Recording, topics: Sequence[TopicInfo]) -> Iterator[StoredMessage]:
     """All messages, with each frame before its camera info."""
-    frames = _Frames(recording)
+    frames, named = _Frames(recording), {topic.name: topic for topic in topics}
     for message in recording.all_messages():
-        if message.topic.name == CAMERA_INFO and (frame := frames.missing(message)) is not None:
-            yield message._replace(topic=image, cdr=frame)
+        if message.topic.name == CAMERA_INFO:
+            for name, cdr in frames.missing(message):
+                yield message._replace(topic=named[name], cdr=cdr)
         yield message

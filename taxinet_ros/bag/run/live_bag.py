@@ -26,6 +26,7 @@ from taxinet_ros.core.pacing.step_collector import FreeProgress, Step, StepColle
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.sensing import Schedule
 from taxinet_ros.core.topics import Topic
+from taxinet_ros.core.types import step_stamp_ns
 from taxinet_ros.core.verdict.judging import StopOn, parse_stop_on
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, InfraKind
@@ -47,7 +48,7 @@ def stepped_topics(images: bool) -> tuple[Topic, ...]:
     """Topics with messages of control steps, in the order of the bag."""
     return tuple(
         topic for topic in topics.TOPICS
-        if topic.each_step and (images or topic is not topics.IMAGE)
+        if topic.each_step and (images or topic not in topics.FRAMES)
     )
 
 
@@ -82,9 +83,10 @@ class LiveBag(BegunBag):
         }
         self._schedule = Schedule(scene, self.period_ns)
         sensors = scene.sensor_set.names
-        self._sensed = {topics.SENSORS[name].name for name in sensors}
+        sensed = {topics.SENSORS[name] for name in sensors}
+        self._sensed = {topic.name for topic in sensed.intersection(self._stepped)}
         self._transform_of = OdometryTransforms()
-        self._scenario_cdr, self._camera = scenario_cdr, scene.camera_model
+        self._scenario_cdr, self._cameras = scenario_cdr, scene.cameras
         self._awaited = topics.NODE_STATUS.speakers(scenario.participants)
         self._run_id = scenario.run_id
         self._reports: dict[str, bytes] = {}
@@ -96,8 +98,7 @@ class LiveBag(BegunBag):
 
     def clear(self) -> None:
         """Drop steps, verdict and account received so far."""
-        more = self._schedule.counts if self._sensed else None
-        self.steps = StepCollector(self._expected, more)
+        self.steps = StepCollector(self._expected, self._measurements if self._sensed else None)
         self._held: list[Step] = []
         self._verdict: bytes | None = None
         self._account: FreeRunAccount | None = None
@@ -105,6 +106,10 @@ class LiveBag(BegunBag):
             topic.name for topic in (*self._stepped, topics.TIMING)
             if topic.publishers == (topics.SIMULATOR,) and topic.recorded != topics.PER_SAMPLE
         ])
+
+    def _measurements(self, seq: int) -> dict[str, int]:
+        due = self._schedule.counts(seq)
+        return {name: due[name] for name in due if name in self._sensed}
 
     def take(self, topic: Topic, cdr: bytes) -> list[int]:
         """Take a message of any recorded topic; of another run it is ignored.
@@ -136,9 +141,10 @@ class LiveBag(BegunBag):
         return []
 
     def _take_step(self, topic: Topic, cdr: bytes) -> list[int]:
-        seq, off_ns = divmod(stamp_of_cdr(cdr), self.period_ns)
-        if off_ns:
-            what = f'stamped {seq * self.period_ns + off_ns} ns, which is not a control step'
+        stamp_ns = stamp_of_cdr(cdr)
+        seq = stamp_ns // self.period_ns
+        if stamp_ns != step_stamp_ns(seq, self.period_ns):
+            what = f'stamped {stamp_ns} ns, which is not a control step'
             raise InfraError(InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
         self._progress.arrived(topic.name, seq)
         return self._add(topic, seq, cdr)
@@ -241,7 +247,7 @@ class LiveBag(BegunBag):
                 self._write_head()
             for seq, messages in [*self._held, *self.steps.torn()]:
                 self._write_step(seq, messages)
-        stamp_ns = self.ended.seq * self.period_ns
+        stamp_ns = step_stamp_ns(self.ended.seq, self.period_ns)
         if self._verdict is not None:
             self._write(topics.VERDICT, self._verdict, stamp_ns)
         self._write(topics.RUN_STATUS, self._ended_cdr, stamp_ns)
@@ -262,7 +268,7 @@ class LiveBag(BegunBag):
         for _, cdr in sorted(self._reports.items()):
             if cdr:
                 self._write(topics.NODE_STATUS, cdr, 0)
-        self._write(topics.TF_STATIC, camera_transform(self._camera), 0)
+        self._write(topics.TF_STATIC, camera_transform(*self._cameras), 0)
 
     def _write_steps(self) -> list[int]:
         """Write complete steps, once the head of the bag is on disk."""
@@ -276,7 +282,7 @@ class LiveBag(BegunBag):
         return seqs
 
     def _write_step(self, seq: int, messages: Mapping[str, list[bytes]]) -> None:
-        stamp_ns = seq * self.period_ns
+        stamp_ns = step_stamp_ns(seq, self.period_ns)
         for topic in self._stepped:
             for cdr in messages.get(topic.name, ()):
                 self._write(topic, cdr, stamp_ns)

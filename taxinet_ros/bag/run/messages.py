@@ -18,7 +18,13 @@ from taxinet_ros.bag.cdr.alignment import FORMATS
 from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.cdr.fields import MessageTemplate
 from taxinet_ros.bag.cdr.image import image_cdr
-from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME, topic_info
+from taxinet_ros.bag.run.topics import (
+    BASE_FRAME,
+    CAMERA2_FRAME,
+    CAMERA_FRAME,
+    MAP_FRAME,
+    topic_info,
+)
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.mtl import Reading, Spec
@@ -84,9 +90,11 @@ def clock_cdr(stamp_ns: int) -> bytes:
     return _clock().filled(*divmod(stamp_ns, NS_PER_S))
 
 
-def camera_info_cdr(stamp_ns: int, camera: CameraModel = WING) -> bytes:
+def camera_info_cdr(
+    stamp_ns: int, camera: CameraModel = WING, frame_id: str = CAMERA_FRAME
+) -> bytes:
     """Serialise a camera's intrinsics, with a stamp [ns]."""
-    return _camera_info(camera).filled(*divmod(stamp_ns, NS_PER_S))
+    return _camera_info(camera, frame_id).filled(*divmod(stamp_ns, NS_PER_S))
 
 
 def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
@@ -171,6 +179,8 @@ def sensor_messages(measured: Measured) -> Iterator[tuple[Topic, bytes]]:
     for speed in measured.wheel:
         yield topics.WHEEL, _wheel(speed.sigma_mps).filled(
             *divmod(speed.stamp_ns, NS_PER_S), speed.speed_mps)
+    for picture in measured.camera:
+        yield topics.CAMERA2, image_cdr(picture.image, picture.stamp_ns, CAMERA2_FRAME)
 
 
 @functools.cache
@@ -179,10 +189,10 @@ def _clock() -> MessageTemplate:
 
 
 @functools.lru_cache(_KEPT)
-def _camera_info(camera: CameraModel) -> MessageTemplate:
+def _camera_info(camera: CameraModel, frame_id: str) -> MessageTemplate:
     matrix = camera.intrinsics
     return _template(topics.CAMERA_INFO, {
-        'header': header_values(0, CAMERA_FRAME),
+        'header': header_values(0, frame_id),
         'height': camera.height_px,
         'width': camera.width_px,
         'distortion_model': 'plumb_bob',

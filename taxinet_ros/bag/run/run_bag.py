@@ -51,8 +51,9 @@ from taxinet_ros.core.pacing.timing import Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.rig.camera_model import CameraModel
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import Topic
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import TrackingError, step_stamp_ns
 from taxinet_ros.core.verdict.judge import Judgement
 from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.core.world import ChosenWorld
@@ -90,7 +91,7 @@ def bag_topics(images: bool = True, sensors: tuple[str, ...] = ()) -> tuple[Topi
         sensors: names of the sensors beside the camera.
     """
     left_out = {topic.name for name, topic in topics.SENSORS.items() if name not in sensors}
-    left_out |= set() if images else {topics.IMAGE.name}
+    left_out |= set() if images else {topic.name for topic in topics.FRAMES}
     return tuple(
         describe_topic(
             name=bag_name(topic), type_name=topic.type_name,
@@ -210,7 +211,7 @@ class NodeWords:
 
 
 def node_words(
-    eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing
+    eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing, scenario: Scenario
 ) -> tuple[NodeWords, ...]:
     """Reports of the nodes that a ROS graph would have with these parts."""
     usual = dataclasses.asdict(SteeringGains())
@@ -223,7 +224,10 @@ def node_words(
         NodeWords(
             node=topics.PERCEPTION, implementation=eyes.word, fingerprint=eyes.fingerprint,
             detail=origin_words(PERCEPTIONS, eyes.word),
-            listens=(topics.SCENARIO.name, *_sensor_topics(eyes), seen.name),
+            listens=(
+                topics.SCENARIO.name, *_sensor_topics(eyes), seen.name,
+                *_second_camera(eyes, scenario),
+            ),
         ),
         NodeWords(
             node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
@@ -232,6 +236,7 @@ def node_words(
             listens=(
                 topics.SCENARIO.name, *_sensor_topics(hands), topics.ESTIMATE.name,
                 *((topics.IMAGE.name,) if hands.needs_image else ()),
+                *_second_camera(hands, scenario),
             ),
         ),
         NodeWords(
@@ -250,7 +255,14 @@ def node_words(
 
 
 def _sensor_topics(part: Perception | Controller) -> list[str]:
-    return [one.name for one in topics.SENSORS.values()] if part.needs_sensors else []
+    named = [one.name for one in topics.SENSORS.values() if one is not topics.CAMERA2]
+    return named if part.needs_sensors else []
+
+
+def _second_camera(part: Perception | Controller, scenario: Scenario) -> list[str]:
+    """Heard only in runs that have one: it is the only sensor whose messages are large."""
+    there = part.needs_sensors and scenario.sensor_set.camera
+    return [topics.CAMERA2.name] if there else []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,7 +295,7 @@ class RunBag(BegunBag):
         """
         self._run_id = request.run_id
         self._specs = request.judging.parsed_specs
-        self._camera = request.scenario.camera_model
+        self._cameras, self._filmed = request.scenario.cameras, images
         self._period_ns = request.scenario.period_ns
         self._steps = 0
         sensors = request.scenario.sensor_set.names
@@ -294,7 +306,7 @@ class RunBag(BegunBag):
             folder, decode(bag_topics(images)[0], scenario_cdr), images=images, sensors=sensors,
             attachments=attachments, min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
-        ready = _ready(request.run_id, nodes, self._camera)
+        ready = _ready(request.run_id, nodes, self._cameras)
         for topic, cdr in ((topics.SCENARIO, scenario_cdr), *ready):
             self._write(topic, cdr, 0)
 
@@ -329,7 +341,10 @@ class RunBag(BegunBag):
     ) -> None:
         """Write a step's messages in the recorder's order, that of the topic table."""
         seen = now if now.image is picture else dataclasses.replace(now, image=picture)
-        observed = observation_messages(seen, self._run_id, self._camera)
+        if not self._filmed and seen.measured is not None and seen.measured.camera:
+            seen = dataclasses.replace(
+                seen, measured=dataclasses.replace(seen.measured, camera=()))
+        observed = observation_messages(seen, self._run_id, self._cameras[0])
         moved = topics.TF, aircraft_transform(now.state, now.stamp_ns)
         # By name, as hashing a topic takes as long as serialising its message.
         ordered = sorted((*observed, *answers, moved), key=lambda said: _RANKS[said[0].name])
@@ -353,7 +368,7 @@ class RunBag(BegunBag):
             BagWriteError: an error of the operating system.
         """
         seq = max(seq, 0)
-        stamp_ns = seq * self._period_ns
+        stamp_ns = step_stamp_ns(seq, self._period_ns)
         for topic, cdr in _end(self._run_id, self._specs, seq, stamp_ns, judgement, ending):
             self._write(topic, cdr, stamp_ns)
         if fork:
@@ -414,14 +429,14 @@ def write_run(
 
 
 def _ready(
-    run_id: str, nodes: Sequence[NodeWords], camera: CameraModel
+    run_id: str, nodes: Sequence[NodeWords], cameras: Sequence[CameraModel]
 ) -> Iterator[Said]:
     for one in sorted(nodes, key=lambda one: one.node):
         yield topics.NODE_STATUS, message_cdr(topics.NODE_STATUS, {
             'header': header_values(0, ''), 'run_id': run_id, 'state': NODE_READY,
             **dataclasses.asdict(one),
         })
-    yield topics.TF_STATIC, camera_transform(camera)
+    yield topics.TF_STATIC, camera_transform(*cameras)
 
 
 def _end(

@@ -262,7 +262,7 @@ def _partial(steps: Mapping[str, Mapping[int, Any]], period_ns: int) -> dict[str
             found[topic] = f'{topic}: no messages, so formulas that read it are not evaluated'
         elif min(messages, default=0) > first_ns:
             found[topic] = f'{topic}: begins at {min(messages) / NS_PER_S:g} s'
-        elif max(messages, default=last_ns) < last_ns - period_ns:
+        elif max(messages, default=last_ns) // period_ns < last_ns // period_ns - 1:
             found[topic] = (
                 f'{topic}: ends at {max(messages) / NS_PER_S:g} s, '
                 f'the run at {last_ns / NS_PER_S:g} s'

@@ -9,6 +9,7 @@ SCENARIO = topics.SCENARIO.name
 NODE_STATUS = topics.NODE_STATUS.name
 CLOCK = topics.CLOCK.name.lstrip('/')
 IMAGE = topics.IMAGE.name
+CAMERA2 = topics.CAMERA2.name
 CAMERA_INFO = topics.CAMERA_INFO.name
 ODOMETRY = topics.ODOMETRY.name
 TRUTH = topics.TRUTH.name
@@ -27,7 +28,7 @@ SIMULATOR = 'simulator'
 
 MAP_FRAME = 'map'
 BASE_FRAME = 'base_link'
-CAMERA_FRAME = 'camera_optical'
+CAMERA_FRAME, CAMERA2_FRAME = 'camera_optical', 'camera2_optical'
 
 ONCE = frozenset(
     topic.name for topic in (*topics.TOPICS, *topics.TRANSFORMS)
@@ -48,7 +49,8 @@ def topic_info(topic: topics.Topic) -> TopicInfo:
 
 def is_of_sensors(name: str) -> bool:
     """Whether a topic has measurements of sensors beside the camera, in any namespace."""
-    return any(is_topic(name, topic.name) for topic in topics.SENSORS.values())
+    return any(
+        is_topic(name, topic.name) for topic in (*topics.SENSORS.values(), topics.CAMERA2_INFO))
 
 
 def is_of_frames(name: str) -> bool:

@@ -12,7 +12,14 @@ import struct
 
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.cdr.image import ENCAPSULATION, aligned, with_text
-from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME, MAP_FRAME, topic_info
+from taxinet_ros.bag.run.messages import header_values, message_cdr
+from taxinet_ros.bag.run.topics import (
+    BASE_FRAME,
+    CAMERA2_FRAME,
+    CAMERA_FRAME,
+    MAP_FRAME,
+    topic_info,
+)
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core import topics
 from taxinet_ros.core.rig.camera_model import CameraModel
@@ -57,12 +64,22 @@ def aircraft_transform(state: AircraftState, stamp_ns: int) -> bytes:
 
 
 @functools.lru_cache(16)
-def camera_transform(camera: CameraModel = WING) -> bytes:
+def camera_transform(camera: CameraModel = WING, *more: CameraModel) -> bytes:
     """Serialised ``TFMessage`` with the pose of ``camera_optical`` in ``base_link``.
+
+    With a second camera it also has that of ``camera2_optical``.
 
     The optical frame follows REP-103: z forward along the optical axis, x right and y down in the
     image.
     """
+    if more:
+        return message_cdr(topics.TF_STATIC, {'transforms': [{
+            'header': header_values(0, BASE_FRAME), 'child_frame_id': frame,
+            'transform': {
+                'translation': dict(zip('xyz', one.offset_m, strict=True)),
+                'rotation': dict(zip('xyzw', one.attitude, strict=True)),
+            },
+        } for frame, one in zip((CAMERA_FRAME, CAMERA2_FRAME), (camera, *more), strict=True)]})
     pose = *camera.offset_m, *camera.attitude
     return _transform(0, 0, BASE_FRAME, CAMERA_FRAME, *pose)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from taxinet_ros.bag.check.compare import compare_bags
-from taxinet_ros.bag.rewrite.frames import IMAGE
+from taxinet_ros.bag.rewrite.frames import CAMERA2, IMAGE
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import recorded_world
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL, print_comparison
@@ -14,6 +14,7 @@ from taxinet_ros.cli.bag.input import warn_of_stacks
 from taxinet_ros.cli.show import line_console
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.types import step_stamp_ns
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
@@ -100,7 +101,7 @@ def run_again(
     new = out / run.request.run_id
     row = RunRow.of_run(
         run.request, result, perception=word, bag=new.name,
-        sim_s=max(result.last_seq, 0) * run.request.scenario.period_ns / 1e9,
+        sim_s=step_stamp_ns(max(result.last_seq, 0), run.request.scenario.period_ns) / 1e9,
     )
     console.print(row_line(row))
     if result.outcome is Outcome.INTERRUPTED:
@@ -109,7 +110,8 @@ def run_again(
         raise InfraError(result.kind, result.who, result.last_seq, result.detail)
     with readable_bags():
         made = open_recording(new)
-        skip = () if info.counts.get(IMAGE) and made.info.counts.get(IMAGE) else (IMAGE,)
+        both = info.counts.get(IMAGE) and made.info.counts.get(IMAGE)
+        skip = () if both else (IMAGE, CAMERA2)
         topics = compare_bags(recording, made, skip=skip)
     print_comparison(console, topics, 0.0)
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT

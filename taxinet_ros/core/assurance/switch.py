@@ -37,7 +37,7 @@ from taxinet_ros.core.perception.perception import (
 )
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.sensors import Measured
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, time_words
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError, step_stamp_ns, time_words
 from taxinet_ros.core.user_code import NO_NODE_HERE, is_node_elsewhere
 from taxinet_ros.errors import UsageError
 
@@ -134,7 +134,7 @@ class Alarm:
     @property
     def at_s(self) -> float:
         """Simulated time [s]."""
-        return self.step * self.period_ns / NS_PER_S
+        return step_stamp_ns(self.step, self.period_ns) / NS_PER_S
 
     def __str__(self) -> str:
         return f'{self.reason} at {time_words(self.at_s)} ({self.score:.2f} times its threshold)'

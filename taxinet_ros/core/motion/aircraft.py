@@ -292,7 +292,7 @@ class Aircraft:
             InfraError: JSBSim cannot load or start the model.
             UsageError: the model is incomplete and cannot be measured.
         """
-        self._steps = scenario.period_ns * PHYSICS_HZ // NS_PER_S
+        self._steps = round(PHYSICS_HZ / scenario.control_rate_hz)
         self._period_s = scenario.period_ns / NS_PER_S
         self._step = -1
         self._frame = runway_frame(runway or scenario.runway)
@@ -300,7 +300,8 @@ class Aircraft:
         if self.model.settled is None or self.model.speed_gains is None:
             self.model = measured_model(self.model)
             if own:
-                check_camera_height(scenario.camera_model, self.model)
+                for camera in scenario.cameras:
+                    check_camera_height(camera, self.model)
         model = self.model
         assert model.settled is not None
         assert model.speed_gains is not None

@@ -16,7 +16,7 @@ from taxinet_ros.core.mtl.assumptions import ANYTHING, Range, enclose, margin_ra
 from taxinet_ros.core.mtl.offline import robustness_range
 from taxinet_ros.core.mtl.sliding import INF
 from taxinet_ros.core.mtl.specs import Spec
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, step_stamp_ns
 from taxinet_ros.core.units import (
     ANGLE,
     PURE,
@@ -208,9 +208,9 @@ class Setting:
     period_ns: int = 0
 
     @property
-    def stamps_ns(self) -> range:
+    def stamps_ns(self) -> list[int]:
         """Stamps of the samples of a run."""
-        return range(0, self.horizon_ns + 1, self.period_ns)
+        return _stamps_ns(self.horizon_ns, self.period_ns)
 
     def box(self, formula: ast.Formula) -> dict[str, Range]:
         """Range of every signal read by a formula."""
@@ -255,7 +255,7 @@ def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
             raise UsageError(f'{where} looks back to before the run; it cannot be evaluated')
     if not period_ns:
         return
-    stamps = range(0, horizon_ns + 1, period_ns)
+    stamps = _stamps_ns(horizon_ns, period_ns)
     atoms = dict.fromkeys(ast.atoms(spec.formula), ANYTHING)
     low, high = robustness_range(spec.formula, stamps, atoms)
     if low == high and math.isinf(low):
@@ -264,6 +264,10 @@ def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
             f'measured: some of its windows hold no sample (one every '
             f'{seconds_words(period_ns)}); change them'
         )
+
+
+def _stamps_ns(horizon_ns: int, period_ns: int) -> list[int]:
+    return [step_stamp_ns(seq, period_ns) for seq in range(horizon_ns // period_ns + 1)]
 
 
 def warnings(spec: Spec, setting: Setting) -> list[str]:

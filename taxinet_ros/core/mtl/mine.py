@@ -24,7 +24,7 @@ from taxinet_ros.core.mtl.margin import compile_margin
 from taxinet_ros.core.mtl.offline import Array, robustness
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.mtl.specs import SIGNALS
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, step_stamp_ns, steps_in
 from taxinet_ros.errors import UsageError
 
 Signs = Iterator[tuple[str | int, int]]
@@ -63,8 +63,9 @@ class Parameter:
     def times_s(self, end_ns: int) -> list[float]:
         """Values that an end of a window can have in a run, from the tightest to the loosest."""
         most_ns = end_ns if self.most_ns is None else min(self.most_ns, end_ns)
-        steps = range(-(-self.least_ns // self.step_ns), most_ns // self.step_ns + 1)
-        return [step * self.step_ns / NS_PER_S for step in (steps if self.rises else steps[::-1])]
+        steps = range(steps_in(self.least_ns, self.step_ns), most_ns // self.step_ns + 1)
+        ordered = steps if self.rises else steps[::-1]
+        return [step_stamp_ns(step, self.step_ns) / NS_PER_S for step in ordered]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -22,7 +22,7 @@ from taxinet_ros.core.topics import (
     SIMULATOR,
     STEERING_CONTROLLER,
 )
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import TaxiCommand, TrackingError, step_stamp_ns
 from taxinet_ros.core.verdict.outcome import NOT_JUDGED, Judged, Outcome, outcome_of
 from taxinet_ros.errors import InfraError, InfraKind
 
@@ -130,7 +130,7 @@ def check_answer(
     if seq > newest:
         detail = f'answered frame {seq}, which is not out yet'
         raise InfraError(InfraKind.PROTOCOL, who, newest, detail)
-    if stamp_ns != seq * period_ns:
+    if stamp_ns != step_stamp_ns(seq, period_ns):
         detail = f'its answer to frame {seq} is stamped {stamp_ns / 1e9:g} s'
         raise InfraError(InfraKind.PROTOCOL, who, newest, detail)
     if detail := subnormal(value):

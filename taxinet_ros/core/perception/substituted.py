@@ -125,7 +125,7 @@ def substituted(
     Raises:
         UsageError: a delay is not a whole number of control steps.
     """
-    period_s = period_ns / NS_PER_S
+    period_s = 1 / (NS_PER_S // period_ns)
     kind, amount = substitution.kind, substitution.amount
     if kind == AS_RECORDED:
         return network

@@ -37,7 +37,7 @@ from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.step_collector import StepCollector
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario as Scene
-from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.types import TrackingError, step_stamp_ns
 from taxinet_ros.core.user_code import node_command
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
@@ -246,7 +246,8 @@ def play_pictures(
         judging=DEFAULT_JUDGING, participants=(interface.PERCEPTION,),
     )
     steps = (
-        (seq, {interface.IMAGE.name: [image_cdr(one, seq * scene.period_ns, CAMERA_FRAME)]})
+        (seq, {interface.IMAGE.name: [
+            image_cdr(one, step_stamp_ns(seq, scene.period_ns), CAMERA_FRAME)]})
         for seq, one in enumerate(pictures)
     )
     words = node_command(word, interface.PERCEPTION) or []

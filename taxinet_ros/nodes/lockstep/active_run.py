@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -15,7 +16,8 @@ from taxinet_msgs.msg import Timing as TimingMessage
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
-from taxinet_ros.bag.run.messages import observation_messages
+from taxinet_ros.bag.run.messages import camera_info_cdr, observation_messages
+from taxinet_ros.bag.run.topics import CAMERA2_FRAME
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS, Observation, rolling_on
 from taxinet_ros.core.faults import check_free
@@ -24,7 +26,7 @@ from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.stepped_run import Ending, LiveGraph, SteppedRun
 from taxinet_ros.core.pacing.timing import Timing
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, step_stamp_ns
 from taxinet_ros.core.verdict.judge import check_specs
 from taxinet_ros.core.verdict.judging import Judging, StopOn
 from taxinet_ros.core.verdict.outcome import Outcome
@@ -133,7 +135,7 @@ class ActiveRun(LiveGraph):
     @property
     def stamp_ns(self) -> int:
         """Simulated time of the current control step [ns]."""
-        return self.seq * self.scenario.period_ns
+        return step_stamp_ns(self.seq, self.scenario.period_ns)
 
     def listeners(self, topic: topics.Topic) -> set[str]:
         """Nodes that subscribe to a topic, as participants declare for themselves or for others.
@@ -167,7 +169,7 @@ class ActiveRun(LiveGraph):
     def prepare(self) -> None:
         """Have all nodes get ready."""
         node = self._node
-        node.transforms.mount(self.camera)
+        node.transforms.mount(*self.scenario.cameras)
         node.say(interface.SCENARIO, self.goal.request.scenario)
         node.say(interface.NODE_STATUS, NodeStatus(
             header=header(0, ''), run_id=self.run_id, node=interface.SIMULATOR,
@@ -236,7 +238,17 @@ class ActiveRun(LiveGraph):
         return now
 
     def publish(self, frame: Observation) -> None:
-        """Publish a frame with its transforms."""
+        """Publish a frame with its transforms; the second camera's if somebody looks."""
+        seen = frame.measured.camera if frame.measured is not None else ()
+        if seen and frame.measured is not None and not any(
+            self._node.ends.speakers[topic.name].get_subscription_count()
+            for topic in (interface.CAMERA2, interface.CAMERA2_INFO)
+        ):
+            measured = dataclasses.replace(frame.measured, camera=())
+            frame, seen = dataclasses.replace(frame, measured=measured), ()
+        for picture in seen:
+            self._node.say(interface.CAMERA2_INFO, camera_info_cdr(
+                picture.stamp_ns, self.scenario.cameras[1], CAMERA2_FRAME))
         for topic, message in observation_messages(frame, self.run_id, self.camera):
             self._node.say(topic, message)
             if topic is topics.ODOMETRY:

@@ -95,6 +95,16 @@ class Participant(Node):
             topic, self._guarded(callback), raw=raw, qos=interface.NEWEST if newest else None
         )
 
+    def listen_if(
+        self, wanted: bool, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False
+    ) -> None:
+        """Subscribe to a topic for runs that need it; otherwise do without."""
+        heard = topic.name in self._ends.listeners
+        if wanted and not heard:
+            self.listen(topic, callback, raw=raw)
+        elif heard and not wanted:
+            self._ends.unlisten(topic)
+
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
         """Report this node's state in the current run to the simulator."""
         ready = state == NodeStatus.READY

@@ -19,6 +19,7 @@ from taxinet_msgs.msg import NodeStatus, Verdict
 from taxinet_ros.bag.run.message_values import account_of
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
+from taxinet_ros.core.types import step_stamp_ns
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
@@ -131,7 +132,7 @@ class ScenarioSampler(Node):
         assert asked is not None
         return death_notice(
             asked.run_id, node, detail, kind=kind, seq=self.seq,
-            stamp_ns=self.seq * asked.scenario.period_ns,
+            stamp_ns=step_stamp_ns(self.seq, asked.scenario.period_ns),
         )
 
     def close(self) -> None:

@@ -37,12 +37,19 @@ class Senses:
         self._decode = {
             topic.name: decoder(topic_info(topic)) for topic in SENSORS.values()
         }
+        self._node = node
         for topic in interface.SENSORS.values():
-            node.listen(topic, functools.partial(self._sense, topic.name), raw=True)
+            if topic is not interface.CAMERA2:
+                node.listen(topic, functools.partial(self._sense, topic.name), raw=True)
 
     def begin(self, scenario: Scenario) -> None:
         """Start a run."""
         self._schedule = Schedule(scenario, scenario.period_ns)
+        topic = interface.CAMERA2
+        self._node.listen_if(
+            scenario.sensor_set.camera is not None, topic,
+            functools.partial(self._sense, topic.name), raw=True,
+        )
         self.clear()
 
     def clear(self) -> None:

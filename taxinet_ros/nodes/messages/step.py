@@ -130,14 +130,14 @@ class TransformBroadcaster:
             for topic in interface.TRANSFORMS
         )
         self._transform_of = OdometryTransforms(odometry)
-        self._mounted = WING
+        self._mounted: tuple[CameraModel, ...] = (WING,)
         self._static.publish(camera_transform())
 
-    def mount(self, camera: CameraModel) -> None:
-        """Publish another camera's transform, if it is another."""
-        if camera != self._mounted:
-            self._mounted = camera
-            self._static.publish(camera_transform(camera))
+    def mount(self, *cameras: CameraModel) -> None:
+        """Publish the transforms of other cameras, if they are others."""
+        if cameras != self._mounted:
+            self._mounted = cameras
+            self._static.publish(camera_transform(*cameras))
 
     def follow(self, odometry: bytes) -> None:
         """Publish ``base_link`` from serialised odometry, if there are subscribers.

@@ -306,6 +306,10 @@ class Endpoints:
             event_callbacks=self._second_publisher_events(topic),
         )
 
+    def unlisten(self, topic: Topic) -> None:
+        """Hear a topic no more."""
+        self._node.destroy_subscription(self.listeners.pop(topic.name))
+
     def unmatched(
         self, participants: Sequence[str], needed: Callable[[Topic], Collection[str]]
     ) -> Iterator[str]:

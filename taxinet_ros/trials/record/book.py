@@ -20,7 +20,7 @@ from taxinet_ros.core.documents import NamedDocument
 from taxinet_ros.core.provenance import Provenance, stack_id
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import CATALOGUES
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, step_stamp_ns
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import RecordError, UsageError, warn_once
@@ -80,7 +80,7 @@ def run_request(
 
 def finished_row(options: CampaignOptions, request: RunRequest, result: RunResult) -> RunRow:
     """The row of a run that the graph has answered."""
-    sim_s = max(result.last_seq, 0) * request.scenario.period_ns / NS_PER_S
+    sim_s = step_stamp_ns(max(result.last_seq, 0), request.scenario.period_ns) / NS_PER_S
     perception = options.perception
     if not perception or is_node_elsewhere(perception):
         perception = result.perception or perception

@@ -288,7 +288,7 @@ class RunRow(_SceneColumns):
     @property
     def period_ns(self) -> int:
         """Control period of the run [ns]; the usual one if no scene could be drawn."""
-        return round(NS_PER_S / (self.control_rate_hz or CONTROL_RATE.absent))
+        return int(NS_PER_S // (self.control_rate_hz or CONTROL_RATE.absent))
 
     @property
     def unusable_share(self) -> float:

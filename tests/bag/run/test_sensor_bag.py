@@ -110,6 +110,47 @@ def test_given_the_bag_then_all_is_well_and_a_measurement_that_lacks_or_is_late_
         ('step 15', '/imu/data: not the measurements due')]
 
 
+def test_given_a_second_camera_then_its_frames_are_recorded_rendered_checked_and_not_scored(
+    tmp_path, taxinet
+):
+    scene = dataclasses.replace(SCENE, duration_s=2.0, sensors=tx.load_sensors(
+        {'camera': {'mount': 'nose', 'rate_hz': 5, 'delay_s': 0.1}}))
+    run = tx.run(scene, perception='truth', specs='phi_always')
+    filmed, bare = (run.save_bag(tmp_path / name / 'run', images=name == 'filmed')
+                    for name in ('filmed', 'bare'))
+    assert '/camera2/image_raw' not in open_recording(bare).info.counts
+    (tmp_path / 'rendered').mkdir()
+    assert list(restore_frames(open_recording(bare), tmp_path / 'rendered' / 'run')) == [*range(21)]
+    for file in filmed.iterdir():
+        assert file.read_bytes() == (tmp_path / 'rendered' / 'run' / file.name).read_bytes()
+    with AnyReader([filmed]) as reader:
+        said = [
+            (connection.topic, stamp_ns, reader.deserialize(cdr, connection.msgtype))
+            for connection, stamp_ns, cdr in reader.messages()
+            if connection.topic in ('/camera2/image_raw', '/tf_static')
+        ]
+    (_, _, mounted), *frames = said
+    assert [(one.child_frame_id, one.transform.translation.x) for one in mounted.transforms] == [
+        ('camera_optical', scene.camera_model.offset_m[0]),
+        ('camera2_optical', scene.cameras[1].offset_m[0]),
+    ]
+    assert len(frames) == 10
+    for _, stamp_ns, frame in frames:
+        assert frame.header.stamp.nanosec == (stamp_ns - 100_000_000) % 10**9
+        assert (frame.header.frame_id, frame.encoding) == ('camera2_optical', 'rgb8')
+        assert (frame.height, frame.width, len(frame.data)) == (400, 640, 400 * 640 * 3)
+    assert check_bag(filmed).findings == ()
+    gone = altered(filmed, tmp_path / 'gone' / 'run', unaltered, keep=lambda stored: not (
+        stored.topic.name == '/camera2/image_raw' and stored.stamp_ns == 1_100_000_000))
+    assert [(one.where, one.what) for one in check_bag(gone).findings] == [
+        ('step 11', '/camera2/image_raw: not the measurements due')]
+    (tmp_path / 'mine.py').write_text(
+        'def still(image):\n    assert image.shape == (200, 360, 3)\n    return 0.0, 0.0\n')
+    code, out, _ = taxinet('score', filmed, '--json', '--latency', '0',
+                           '--perception', f'{tmp_path}/mine.py:still')
+    assert (code, json.loads(out)['frames']) == (0, 21)
+
+
 def test_given_no_sensors_then_topics_and_request_are_as_before_there_were_any(tmp_path):
     plain = dataclasses.replace(SCENE, sensors='none')
     bag = tx.run(plain, specs='phi_always').save_bag(tmp_path / 'run', images=False)

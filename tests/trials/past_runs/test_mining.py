@@ -61,7 +61,8 @@ def test_given_two_parameters_then_the_front_is_the_known_one() -> None:
 
 
 def test_given_runs_of_other_control_rates_then_times_are_mined_in_their_steps(tmp_path) -> None:
-    for rates_hz, step in (((10,), 0.1), ((20, 20), 0.05), ((8, 10), 0.025)):
+    for rates_hz, step in (((10,), 0.1), ((20, 20), 0.05), ((8, 10), 0.025),
+                           ((30, 10), 1 / 30)):
         rows = [
             RunRow(run_id=f'run-{index}', index=index, program='nominal', seed=0,
                    perception='truth', outcome=Outcome.INTERRUPTED,
@@ -72,7 +73,10 @@ def test_given_runs_of_other_control_rates_then_times_are_mined_in_their_steps(t
         folder.mkdir()
         write_campaign(folder, rows)
         found = step_ns(open_campaign(folder))
-        assert found == pytest.approx(step * 1e9)
+        assert found == int(1e9 * step)
+    odd = parse_template('always[T:2](cte <= 1)', 1_000_000_000 // 30).parameters[0]
+    assert sorted(odd.times_s(2_000_000_000)) == [
+        seq * 1_000_000_000 // 30 / 1e9 for seq in range(61)]
     stamps = [50_000_000 * seq for seq in range(41)]
     (parameter,) = (template := parse_template('always[T:2](cte <= 1)', 50_000_000)).parameters
     late = {'cte': [9.0] * 7 + [0.0] * 34}
