@@ -27,6 +27,9 @@ RAINY = {'clouds': 'overcast', 'rain_percent': 40, 'heading_deg': 4.0, 'cross_tr
 LATE = {'mount': 'nose', 'rate_hz': 5, 'delay_s': 0.12, 'dropouts': [
     {'start_s': 0.4, 'length_s': 0.3}]}
 MINE = {'name': 'mine', 'offset_m': [0.5, 1.0, 1.0], 'size_px': [64, 48], 'field_of_view_deg': 60}
+# Starts when the aircraft, from 400 m at 5 m/s, has gone some metres.
+VAN = {'kind': 'vehicle', 'x_m': 425, 'y_m': -4, 'starts_within_m': 22.5,
+       'path': [{'x_m': 425, 'y_m': 30, 'speed_mps': 12}]}
 
 
 def scene(camera: dict[str, Any], **human: Any) -> Scenario:
@@ -61,7 +64,7 @@ def test_given_a_delay_and_a_drop_out_then_pictures_arrive_when_they_should():
 @pytest.mark.parametrize('mount', ['nose', 'strut', MINE, {'base': 'wing', 'dpitch_deg': 3}])
 def test_given_a_mount_then_its_pictures_are_those_of_a_run_with_this_camera(mount):
     spoiled = {**RAINY, 'lens_dirt_percent': 20, 'camera_freeze_s': 1.0, 'camera_dz_m': 0.2,
-               'traffic': tx.load_traffic([{'kind': 'cone', 'x_m': 430, 'y_m': 5}])}
+               'traffic': tx.load_traffic([{'kind': 'cone', 'x_m': 430, 'y_m': 5}, VAN])}
     found = told(scene({'mount': mount, 'rate_hz': 10, 'delay_s': 0.3}, **spoiled))
     assert [*found] == [*range(3, 16)]
     text = mount if isinstance(mount, str) else json.dumps(mount)
@@ -76,7 +79,7 @@ def test_given_a_mount_then_its_pictures_are_those_of_a_run_with_this_camera(mou
 
 
 def test_given_nobody_who_looks_then_nothing_is_rendered(monkeypatch):
-    def render(*_: object) -> None:
+    def render(*_: object, **__: object) -> None:
         raise AssertionError('rendered')
 
     monkeypatch.setattr(Camera, 'render', render)
