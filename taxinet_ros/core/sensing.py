@@ -48,6 +48,7 @@ class Schedule:
         """``period_ns``: control period [ns]."""
         self.scenario, self.period_ns = scenario, period_ns
         self.sensors = scenario.sensor_set
+        self.hold_lines = scenario.hold_lines
         # From start and seed only: the same for each value of other keys.
         start = struct.pack(
             '<4d', scenario.cross_track_m, scenario.distance_m, scenario.heading_rad,
@@ -68,6 +69,11 @@ class Schedule:
             delay_ns = round(sensor.delay_s * NS_PER_S)
             arriving = sensor.between(end_ns - self.period_ns - delay_ns, end_ns - delay_ns)
             yield from ((sensor, number) for number in arriving if not self.lost(sensor, number))
+
+    def uncleared_m(self, seq: int) -> tuple[float, ...]:
+        """Distances along the track of the hold lines not cleared at a step, ascending [m]."""
+        stamp_ns = seq * self.period_ns
+        return tuple(along_m for along_m, until_ns in self.hold_lines if stamp_ns < until_ns)
 
     def counts(self, seq: int) -> Counter[str]:
         """Number of messages that arrive at a step, by topic."""
@@ -135,7 +141,8 @@ class Sensing:
         found: dict[str, list[Fix | Inertial | Speed]] = {}
         for sensor, number in self._schedule.due(self._seq):
             found.setdefault(sensor.name, []).append(self._pending[sensor.name, number])
-        return Measured(**{name: tuple(values) for name, values in found.items()})  # type: ignore[arg-type]
+        values = {name: tuple(values) for name, values in found.items()}
+        return Measured(**values, hold_lines_m=self._schedule.uncleared_m(self._seq))  # type: ignore[arg-type]
 
     def _measure(self, begin_ns: int, states: Sequence[AircraftState]) -> None:
         """Measure after ``begin_ns``; before the start at the start alone."""
@@ -237,11 +244,12 @@ def between(before: AircraftState, after: AircraftState, share: float) -> Aircra
     return AircraftState(**{**values, 'yaw_rad': before.yaw_rad + share * turned})
 
 
-def measured_of(schedule: Schedule, messages: Mapping[str, Sequence[Any]]) -> Measured:
+def measured_of(schedule: Schedule, seq: int, messages: Mapping[str, Sequence[Any]]) -> Measured:
     """What messages of a step say, bit for bit what the sensors measured.
 
     Args:
         schedule: of the run.
+        seq: the step.
         messages: decoded messages by sensor, oldest first.
     """
     sensors, scenario = schedule.sensors, schedule.scenario
@@ -267,6 +275,7 @@ def measured_of(schedule: Schedule, messages: Mapping[str, Sequence[Any]]) -> Me
                 sigma_mps=wheel.noise_mps,
             ) for one in messages.get('wheel', ())
         ) if wheel else (),
+        hold_lines_m=schedule.uncleared_m(seq),
     )
 
 
@@ -279,8 +288,12 @@ def _xyz(vector: Any) -> tuple[float, float, float]:
 
 
 def sensing_of(scenario: Scenario, period_ns: int, state: AircraftState) -> Sensing | None:
-    """The sensors of a scenario; None if it has none. Arguments as for :class:`Sensing`."""
-    return None if scenario.sensors == NO_SENSORS else Sensing(scenario, period_ns, state)
+    """What a scenario's sensors and tower tell; None without sensors and hold lines.
+
+    Arguments as for :class:`Sensing`.
+    """
+    silent = scenario.sensors == NO_SENSORS and not scenario.others.hold_lines
+    return None if silent else Sensing(scenario, period_ns, state)
 
 
 def check_rates(scenario: Scenario, period_ns: int, who: str) -> None:

@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 
 from taxinet_ros.core.documents import NamedDocument, canonical
 
+HOLD_LINE = 'hold_line'
+"""The kind that is not to be crossed until it is cleared."""
 COLOURS = ('white', 'yellow', 'orange', 'red', 'blue', 'green', 'grey', 'black')
 NOBODY = 'nobody'
 """The word for no objects."""
@@ -52,8 +54,10 @@ KINDS = {
     'painted_over': Kind(size=Size(37.0, 1.3, 0.0), colour='black', solid=False),
     'tyre_marks': Kind(size=Size(40.0, 2.4, 0.0), colour='black', solid=False),
     'patch': Kind(size=Size(8.0, 5.0, 0.0), colour='black', solid=False),
+    HOLD_LINE: Kind(size=Size(2.1, 22.0, 0.0), colour='yellow', solid=False),
 }
-"""By word. The aircraft is of a Caravan's size; the X is as long as AC 150/5340-1 has it."""
+"""By word. The aircraft is of a Caravan's size; the X and the hold line are as long as AC
+150/5340-1 has them."""
 
 
 class Pose(NamedTuple):
@@ -93,6 +97,7 @@ class GroundObject:
         wait_s: how long it stands before it begins its path [s].
         path: that it follows to its end, where it stays; it turns as something with a wheel at
             either end does.
+        until_s: of a hold line: simulated time from which it may be crossed [s].
     """
 
     kind: str
@@ -103,6 +108,7 @@ class GroundObject:
     colour: str
     wait_s: float = 0.0
     path: tuple[Leg, ...] = ()
+    until_s: float = math.inf
 
     @property
     def solid(self) -> bool:
@@ -116,8 +122,10 @@ class GroundObject:
         values: dict[str, Any] = {
             'kind': self.kind, 'x_m': self.x_m, 'y_m': self.y_m, 'heading_deg': self.heading_deg,
             **self.size._asdict(), 'colour': self.colour, 'wait_s': self.wait_s,
+            'until_s': self.until_s,
         }
-        usual = {'heading_deg': 0.0, **known.size._asdict(), 'colour': known.colour, 'wait_s': 0.0}
+        usual = {'heading_deg': 0.0, **known.size._asdict(), 'colour': known.colour, 'wait_s': 0.0,
+                 'until_s': math.inf}
         values = {key: one for key, one in values.items() if usual.get(key) != one}
         if self.path:
             values['path'] = [
@@ -126,6 +134,11 @@ class GroundObject:
                 for leg in self.path
             ]
         return values
+
+    @property
+    def until_ns(self) -> float:
+        """Simulated time from which it may be crossed [ns]."""
+        return self.until_s if math.isinf(self.until_s) else round(self.until_s * 1e9)
 
     def pose_at(self, stamp_ns: int) -> Pose:
         """Where it is at a simulated time [ns]."""
@@ -203,6 +216,11 @@ class Traffic(NamedDocument):
     def marks(self) -> tuple[GroundObject, ...]:
         """Those that lie flat on the ground."""
         return tuple(one for one in self.objects if not one.solid)
+
+    @cached_property
+    def hold_lines(self) -> tuple[GroundObject, ...]:
+        """Those that are not to be crossed until they are cleared."""
+        return tuple(one for one in self.objects if one.kind == HOLD_LINE)
 
 
 def traffic_of(objects: Sequence[GroundObject]) -> Traffic:

@@ -13,6 +13,7 @@ from typing import Any
 from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.traffic.traffic import (
     COLOURS,
+    HOLD_LINE,
     KINDS,
     NOBODY,
     GroundObject,
@@ -33,7 +34,7 @@ _X_M, _Y_M = (-2000.0, 8000.0), (-3000.0, 3000.0)
 
 _KEYS = (
     'kind', 'x_m', 'y_m', 'heading_deg', 'length_m', 'width_m', 'height_m', 'colour', 'wait_s',
-    'path',
+    'path', 'until_s',
 )
 _LEG_KEYS = ('x_m', 'y_m', 'speed_mps', 'wait_s')
 _FROM_SCENARIO = Path('traffic')
@@ -62,6 +63,8 @@ def _object(section: Section) -> GroundObject:
                 raise section.wrong(f'{kind} lies on the ground; leave it out', key)
     if 'wait_s' in section and 'path' not in section:
         raise section.wrong('has no effect without a path', 'wait_s')
+    if 'until_s' in section and kind != HOLD_LINE:
+        raise section.wrong(f'only a {HOLD_LINE} is cleared, no {kind}; leave it out', 'until_s')
     size = Size(*(
         section.number(key, _LEAST_SIZE_M if usual else 0.0, _MOST_SIZE_M, usual)
         for key, usual in known.size._asdict().items()
@@ -74,6 +77,7 @@ def _object(section: Section) -> GroundObject:
         colour=section.word('colour', COLOURS, known.colour),
         wait_s=section.number('wait_s', 0, _LONGEST_WAIT_S, 0.0),
         path=tuple(_legs(section, x_m, y_m)),
+        until_s=section.number('until_s', 0, _LONGEST_WAIT_S, math.inf),
     )
 
 
