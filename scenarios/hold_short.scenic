@@ -6,7 +6,6 @@ at 90 degrees, so a bias of the GNSS to the left of the runway is one along the 
 model runway_world
 
 param track = 'exit_left'
-param time_of_day_h = Range(9, 16)
 param runway_state = Uniform('dry', 'wet')
 param sensors = 'standard'
 param gnss_noise_m = Range(0.5, 2)
@@ -16,5 +15,5 @@ param gnss_dropout_s = Range(1, 15)
 param fault_seed = DiscreteRange(1, 1000)
 param duration_s = 60
 
-ego = new Plane at (Range(-2, 2), 280), facing Range(-5, 5) deg
+ego = new Plane at (0, 280)
 new HoldLine at (0, Range(370, 420)), with until_s Range(25, 45)
