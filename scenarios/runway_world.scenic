@@ -138,3 +138,12 @@ class Patch(GroundObject):
     kind: 'patch'
     width: 5.0
     length: 8.0
+
+
+# Not to be crossed before until_s, when the tower clears it; None: never. It faces where the
+# aircraft goes.
+class HoldLine(GroundObject):
+    kind: 'hold_line'
+    width: 22.0
+    length: 2.1
+    until_s: None

@@ -55,7 +55,10 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
         'truth': 'taxinet_ros.core.perception.perception:GroundTruth',
         **_constants('taxinet_ros.core.perception.weights', _NETWORKS),
     },
-    CONTROLLERS: {'steering': 'taxinet_ros.core.motion.controller:SteeringLaw'},
+    CONTROLLERS: {
+        'steering': 'taxinet_ros.core.motion.controller:SteeringLaw',
+        'hold_short': 'taxinet_ros.core.motion.hold_short:HoldShort',
+    },
     SAMPLERS: _constants('taxinet_ros.samplers.registry', _SAMPLERS),
     WORLDS: {
         KMWH: 'taxinet_ros.core.world:SimulatedWorld',
@@ -68,7 +71,10 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs',
-        ('phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear'),
+        (
+            'phi_always', 'phi_eventually', 'on_runway', 'usable', 'no_collision', 'keep_clear',
+            'hold_short',
+        ),
     ),
     COMMANDS: {
         'forecast': 'taxinet_ros.extras.forecast.commands:forecast_app',

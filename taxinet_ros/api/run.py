@@ -55,6 +55,7 @@ from taxinet_ros.core.motion.controller import (
     UserController,
     read_command,
 )
+from taxinet_ros.core.motion.hold_short import HoldShort
 from taxinet_ros.core.mtl import check_read, offline, signal_names
 from taxinet_ros.core.mtl.explain import Explanation, explain_trace
 from taxinet_ros.core.mtl.interval import RobustnessInterval
@@ -201,8 +202,10 @@ class Run:
     @cached_property
     def _trace(self) -> pd.DataFrame:
         names = [spec.name for spec in self.specs]
-        others = bool(self.scenario.others.objects)
-        return trace_table(columns_of_steps(self.steps, names, others=others))
+        others = self.scenario.others
+        return trace_table(columns_of_steps(
+            self.steps, names, others=bool(others.objects), holds=bool(others.hold_lines),
+        ))
 
     @takes(seq=WHOLE)
     def frame(self, seq: int) -> Frame:
@@ -534,11 +537,11 @@ def robustness(
         trace: a row per sample, in order of time, with ``t_ns`` (integer nanoseconds) or ``t_s``.
             The signals ``cte``, ``he``, ``x``, ``speed``, ``steering``, ``cte_estimate``,
             ``he_estimate``, ``cte_sigma`` and ``he_sigma`` (with covariances), ``estimate_gap``,
-            ``unusable_share``, ``clearance`` and ``collision`` (with others on the ground) come
-            from the columns of :attr:`Run.trace`, in SI units and radians. Any other numeric column
-            is a signal under its own name; its unit is known if it is in ``attrs['units']``. A
-            column that is read, or the time, is rejected if its unit there is another, or not one
-            of SI, in which formulas compare.
+            ``unusable_share``, ``clearance``, ``collision`` and ``hold_distance`` (with others on
+            the ground) come from the columns of :attr:`Run.trace`, in SI units and radians. Any
+            other numeric column is a signal under its own name; its unit is known if it is in
+            ``attrs['units']``. A column that is read, or the time, is rejected if its unit there is
+            another, or not one of SI, in which formulas compare.
         explain: whether to return an :class:`~taxinet_ros.core.mtl.explain.Explanation`, which has
             the robustness of every part of the formula, and the part and the sample that decide.
 
@@ -680,7 +683,7 @@ def asked_controller(given: str | Controller | Steer) -> Controller:
     """Controller of a word, a file, or a function, as for :func:`run`."""
     if isinstance(given, str):
         return make_controller(given, SteeringGains())
-    if isinstance(given, SteeringLaw | UserController | Assured):
+    if isinstance(given, SteeringLaw | HoldShort | UserController | Assured):
         return given
     _check_answering('controller', given, 'command', 1, 'sensors')
     _check_starting('controller', given, 1)

@@ -166,9 +166,9 @@ PerceptionOption = Annotated[
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help='steering, the shipped law; a function in a Python file, FILE.py:NAME; a name that a '
-        'package adds; cmd:COMMAND, which starts a node of your own; or external, a node you start '
-        'yourself',
+        help='steering, the shipped law; hold_short, which also stops at hold lines; a function in '
+        'a Python file, FILE.py:NAME; a name that a package adds; cmd:COMMAND, which starts a node '
+        'of your own; or external, a node you start yourself',
         autocompletion=complete_controller,
     ),
 ]

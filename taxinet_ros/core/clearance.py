@@ -1,4 +1,6 @@
-"""How far the aircraft is from others on the ground: the signals ``clearance`` and ``collision``.
+"""How far the aircraft is from others on the ground, and from hold lines.
+
+These are the signals ``clearance`` and ``collision``, and ``hold_distance``.
 
 Distances are in plan, between parts of the aircraft and of an object at the same height above
 ground: a wing passes over a cone, but not over a fin. The pitch is that of straight taxiing, nose
@@ -11,14 +13,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, MOST_HOLD_DISTANCE_M, OF_OTHERS
 from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.rig.catalogue import find_aircraft
 from taxinet_ros.core.scenario import Scenario
@@ -40,13 +42,37 @@ class Clearance:
         self._traffic, self._objects = scenario.others, scenario.others.solids
         self._motion = TrafficMotion(scenario.others, scenario.period_ns)
         self._aircraft = scenario.aircraft
+        self._hold_lines, self._track = scenario.hold_lines, scenario.line
+        self._nose_m = scenario.aircraft_model.nose_m if self._hold_lines else math.nan
         if self._objects:  # ahead of the first step, as it may take a second
             _own_parts(scenario.aircraft)
 
-    @property
-    def anybody(self) -> bool:
-        """Whether there is anything to be hit."""
-        return bool(self._objects)
+    def may_violate(self, names: Collection[str]) -> bool:
+        """Whether there is what each signal about others is about, of the signals named."""
+        of_lines, read = 'hold_distance', OF_OTHERS.intersection(names)
+        return bool((self._hold_lines or of_lines not in read) and (
+            self._objects or read <= {of_lines}
+        ))
+
+    def to_hold_line(self, stamp_ns: int, x_m: float, y_m: float) -> float:
+        """Least way along the track from the nose to a hold line that is not cleared [m].
+
+        Negative once the nose is past one, until that is cleared. At most
+        :data:`~taxinet_ros.core.mtl.specs.MOST_HOLD_DISTANCE_M`, also where none is left; NaN
+        where the position is not finite, or the aircraft has no outline.
+
+        Args:
+            stamp_ns: simulated time [ns].
+            x_m: reference point in ``map``, along the runway [m].
+            y_m: left of it [m].
+        """
+        if not self._hold_lines:
+            return MOST_HOLD_DISTANCE_M
+        if not all(map(math.isfinite, (x_m, y_m, self._nose_m))):
+            return math.nan
+        nose_m = self._track.measure(x_m, y_m).distance_m + self._nose_m
+        left = (along_m for along_m, until_ns in self._hold_lines if stamp_ns < until_ns)
+        return min(MOST_HOLD_DISTANCE_M, next(left, math.inf) - nose_m)
 
     def of_state(self, stamp_ns: int, state: AircraftState) -> float:
         """As :meth:`at`, of a true state."""

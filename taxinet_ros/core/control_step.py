@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, MOST_HOLD_DISTANCE_M
 from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.sensors import Measured
@@ -35,7 +35,8 @@ class Observation:
         image: camera frame, (height, width, 3) uint8 RGB of the scenario's camera, usually
             (200, 360, 3); None if not requested.
         track: that is followed; None for the runway's centreline.
-        measured: what has arrived of the other sensors; None if there are none.
+        measured: what has arrived of the other sensors and the tower; None without them and hold
+            lines.
         held: of the others on the ground that react to the aircraft, how far it has held them.
     """
 
@@ -94,6 +95,7 @@ def rolling_on(speed_mps: float) -> TaxiCommand:
 def signals(
     *, cte_m: float, he_rad: float, x_m: float, speed_mps: float,
     estimate: TrackingError, command: TaxiCommand, clearance_m: float = MOST_CLEARANCE_M,
+    hold_distance_m: float = MOST_HOLD_DISTANCE_M,
 ) -> dict[str, float]:
     """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
@@ -112,4 +114,5 @@ def signals(
         'he_sigma': estimate.he_sigma_rad if estimate.usable else math.nan,
         'clearance': clearance_m,
         'collision': float(clearance_m <= 0) if clearance_m == clearance_m else math.nan,
+        'hold_distance': hold_distance_m,
     }

@@ -20,6 +20,7 @@ from taxinet_ros.core.scenario_fields import (
     STEERING_BIAS,
 )
 from taxinet_ros.core.sensors import NO_SENSORS
+from taxinet_ros.core.traffic.traffic import HOLD_LINE
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, steps_in
 from taxinet_ros.errors import UsageError
 
@@ -34,12 +35,17 @@ def check_free(scenario: Scenario) -> None:
     """Refuse what a free run cannot have.
 
     Raises:
-        UsageError: the scenario delays the loop, or has sensors or another control rate.
+        UsageError: the scenario delays the loop, or has sensors, hold lines or another control
+            rate.
     """
     if scenario.control_rate_hz != CONTROL_RATE.absent:
         raise UsageError(f'{CONTROL_RATE.key}: not in a free run, whose pace is that of 10 Hz')
     if scenario.sensors != NO_SENSORS:
         raise UsageError('sensors: not in a free run, where what a step waits for is not known')
+    if scenario.others.hold_lines:
+        raise UsageError(
+            f'traffic: no {HOLD_LINE} in a free run, where what a step waits for is not known'
+        )
     if not {LOOP_DELAY, LOOP_JITTER}.isdisjoint(scenario.faults):
         raise UsageError(
             'loop_delay_s, loop_jitter_s: no effect in a free run, which has real delays'

@@ -14,7 +14,7 @@ from taxinet_ros.core.control_step import Observation, rolling_on, signals
 from taxinet_ros.core.faults import loop_delay_ns
 from taxinet_ros.core.motion.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
-from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, MOST_HOLD_DISTANCE_M
 from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
@@ -26,13 +26,14 @@ from taxinet_ros.core.world import SimulatedWorld, WorldMaker, check_picture, cl
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step:
-    """One control step: state, observation, estimate, command, readings, distance to others."""
+    """One control step: state, observation, estimate, command, readings, distances."""
 
     observation: Observation
     estimate: TrackingError
     command: TaxiCommand
     readings: tuple[Reading, ...]
     clearance_m: float = MOST_CLEARANCE_M
+    hold_distance_m: float = MOST_HOLD_DISTANCE_M
 
     @property
     def sample(self) -> dict[str, float]:
@@ -42,6 +43,7 @@ class Step:
         return signals(
             cte_m=cte_m, he_rad=he_rad, x_m=along_m, speed_mps=now.state.speed_mps,
             estimate=self.estimate, command=self.command, clearance_m=self.clearance_m,
+            hold_distance_m=self.hold_distance_m,
         )
 
 
@@ -130,6 +132,7 @@ def run_closed_loop(
                 controller.see(now.image)
             command = controller.command(estimate)
             clearance_m = clearance.of_state(now.stamp_ns, now.state)
+            hold_distance_m = clearance.to_hold_line(now.stamp_ns, now.state.x_m, now.state.y_m)
             sample = signals(
                 cte_m=cte_m,
                 he_rad=he_rad,
@@ -138,12 +141,13 @@ def run_closed_loop(
                 estimate=estimate,
                 command=command,
                 clearance_m=clearance_m,
+                hold_distance_m=hold_distance_m,
             )
             readings = judge.push(now.stamp_ns, sample)
             if on_step is not None:
                 on_step(Step(
                     observation=now, estimate=estimate, command=command, readings=readings,
-                    clearance_m=clearance_m,
+                    clearance_m=clearance_m, hold_distance_m=hold_distance_m,
                 ))
             if now.seq == world.last_seq or judge.stopped_early:
                 return judge.judgement

@@ -78,7 +78,7 @@ from taxinet_ros.core.signals import (
     points_of,
     signals_of,
 )
-from taxinet_ros.core.traffic.traffic import NOBODY, Traffic
+from taxinet_ros.core.traffic.traffic import HOLD_LINE, NOBODY, Traffic
 from taxinet_ros.core.traffic.traffic_file import find_traffic
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError, near_miss
@@ -88,6 +88,8 @@ from taxinet_ros.files.plain_values import load_json
 _WITH_SENSORS = '{"camera":'
 """How the camera's text begins in recordings of scenes with more than a camera, which it
 carries."""
+_ACROSS_RAD = math.radians(45)
+"""Farthest turned from the track's direction a hold line may be."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -251,6 +253,7 @@ class Scenario:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
         self._check_faults()
         self._check_sensors()
+        self._check_hold_lines()
 
     def _take_sensors_apart(self) -> None:
         """Replace a recorded camera that carries sensors and the control rate by all of them."""
@@ -285,6 +288,25 @@ class Scenario:
         if self.gnss_dropout_start_s and not self.gnss_dropout_s:
             raise UsageError(
                 f'scenario: {GNSS_DROPOUT_START.key} has no effect without gnss_dropout_s')
+
+    def _check_hold_lines(self) -> None:
+        line = self.line
+        for one in self.others.hold_lines:
+            _, cte_m, he_rad = line.measure(one.x_m, one.y_m, one.pose_at(0).heading_rad)
+            he_rad = math.remainder(he_rad, math.tau)
+            where = f'scenario: traffic: the {HOLD_LINE} at x_m {one.x_m:g}, y_m {one.y_m:g}'
+            if abs(cte_m) > line.half_width_m:
+                raise UsageError(
+                    f'{where} has no effect: it is {abs(cte_m):.1f} m beside the track '
+                    f'{line.name}, which is {line.half_width_m:g} m wide to either side; place it '
+                    'there, or leave it out'
+                )
+            if abs(he_rad) > _ACROSS_RAD:
+                raise UsageError(
+                    f'{where} holds who comes from another side: it faces '
+                    f'{math.degrees(abs(he_rad)):.0f} deg away from where the track {line.name} '
+                    f'goes; heading_deg there is {one.heading_deg - math.degrees(he_rad):.0f}'
+                )
 
     def _take_camera_apart(self) -> None:
         """Replace a moved camera by its base and its offsets."""
@@ -392,6 +414,15 @@ class Scenario:
     def others(self) -> Traffic:
         """Others on the ground."""
         return find_traffic(self.traffic)
+
+    @property
+    def hold_lines(self) -> tuple[tuple[float, float], ...]:
+        """Of each hold line the distance along the track [m] and when it is cleared [ns]."""
+        line = self.line
+        return tuple(sorted(
+            (line.measure(one.x_m, one.y_m).distance_m, one.until_ns)
+            for one in self.others.hold_lines
+        ))
 
     @property
     def aircraft_model(self) -> AircraftModel:

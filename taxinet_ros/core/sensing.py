@@ -54,6 +54,7 @@ class Schedule:
         """``period_ns``: control period [ns]."""
         self.scenario, self.period_ns = scenario, period_ns
         self.sensors = scenario.sensor_set
+        self.hold_lines = scenario.hold_lines
         # From start and seed only: the same for each value of other keys.
         start = struct.pack(
             '<4d', scenario.cross_track_m, scenario.distance_m, scenario.heading_rad,
@@ -74,6 +75,11 @@ class Schedule:
             delay_ns = round(sensor.delay_s * NS_PER_S)
             arriving = sensor.between(begin_ns - delay_ns, end_ns - delay_ns)
             yield from ((sensor, number) for number in arriving if not self.lost(sensor, number))
+
+    def uncleared_m(self, seq: int) -> tuple[float, ...]:
+        """Distances along the track of the hold lines not cleared at a step, ascending [m]."""
+        stamp_ns = step_stamp_ns(seq, self.period_ns)
+        return tuple(along_m for along_m, until_ns in self.hold_lines if stamp_ns < until_ns)
 
     def counts(self, seq: int) -> Counter[str]:
         """Number of messages that arrive at a step, by topic."""
@@ -184,7 +190,8 @@ class Sensing:
         found: dict[str, list[Fix | Inertial | Speed | Picture]] = {}
         for sensor, number in self._schedule.due(self._seq):
             found.setdefault(sensor.name, []).append(self._pending[sensor.name, number])
-        return Measured(**{name: tuple(values) for name, values in found.items()})  # type: ignore[arg-type]
+        values = {name: tuple(values) for name, values in found.items()}
+        return Measured(**values, hold_lines_m=self._schedule.uncleared_m(self._seq))  # type: ignore[arg-type]
 
     def _measure(self, begin_ns: int, states: Sequence[AircraftState]) -> None:
         """Measure after ``begin_ns``; before the start at the start alone."""
@@ -290,11 +297,12 @@ def between(before: AircraftState, after: AircraftState, share: float) -> Aircra
     return AircraftState(**{**values, 'yaw_rad': before.yaw_rad + share * turned})
 
 
-def measured_of(schedule: Schedule, messages: Mapping[str, Sequence[Any]]) -> Measured:
+def measured_of(schedule: Schedule, seq: int, messages: Mapping[str, Sequence[Any]]) -> Measured:
     """What messages of a step say, bit for bit what the sensors measured.
 
     Args:
         schedule: of the run.
+        seq: the step.
         messages: decoded messages by sensor, oldest first.
     """
     sensors, scenario = schedule.sensors, schedule.scenario
@@ -324,6 +332,7 @@ def measured_of(schedule: Schedule, messages: Mapping[str, Sequence[Any]]) -> Me
             Picture(stamp_ns=_stamp_ns(one), take=partial(_pixels, one))
             for one in messages.get('camera', ())
         ),
+        hold_lines_m=schedule.uncleared_m(seq),
     )
 
 
@@ -340,8 +349,12 @@ def _xyz(vector: Any) -> tuple[float, float, float]:
 
 
 def sensing_of(scenario: Scenario, period_ns: int, state: AircraftState) -> Sensing | None:
-    """The sensors of a scenario; None if it has none. Arguments as for :class:`Sensing`."""
-    return None if scenario.sensors == NO_SENSORS else Sensing(scenario, period_ns, state)
+    """What a scenario's sensors and tower tell; None without sensors and hold lines.
+
+    Arguments as for :class:`Sensing`.
+    """
+    silent = scenario.sensors == NO_SENSORS and not scenario.others.hold_lines
+    return None if silent else Sensing(scenario, period_ns, state)
 
 
 def check_rates(scenario: Scenario, period_ns: int, who: str) -> None:

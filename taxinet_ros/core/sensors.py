@@ -287,12 +287,18 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Measured:
-    """What has arrived since the frame before, oldest first; nothing in a drop-out."""
+    """What has arrived since the frame before, oldest first; nothing in a drop-out.
+
+    Attributes:
+        hold_lines_m: distances along the track of the hold lines that are not cleared now,
+            ascending [m]; no measurement, but what the tower says.
+    """
 
     gnss: tuple[Fix, ...] = ()
     imu: tuple[Inertial, ...] = ()
     wheel: tuple[Speed, ...] = ()
     camera: tuple[Picture, ...] = ()
+    hold_lines_m: tuple[float, ...] = ()
 
 
 def make_sensors(values: object, path: Path, *, shipped: bool = False) -> Sensors:

@@ -42,10 +42,12 @@ SIGMA_COLUMNS: Mapping[str, Callable[[TrackingError], float]] = MappingProxyType
 
 CLEARANCE_COLUMN = 'clearance_m'
 """Distance to others on the ground, where there are any."""
+HOLD_COLUMN = 'hold_distance_m'
+"""Way to the nearest hold line that is not cleared, where there are any lines."""
 
 COLUMN_UNITS: Mapping[str, str] = MappingProxyType({
-    't_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm', 'est_cte_sigma_m': 'm',
-    'est_he_sigma_rad': 'rad',
+    't_s': 's', 't_ns': 'ns', **STEP_UNITS, CLEARANCE_COLUMN: 'm', HOLD_COLUMN: 'm',
+    'est_cte_sigma_m': 'm', 'est_he_sigma_rad': 'rad',
 })
 """Unit of every column that has one."""
 
@@ -53,7 +55,7 @@ SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
     'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'distance_m',
     'steering': 'steering_rad', 'cte_estimate': 'est_cte_m',
     'he_estimate': 'est_he_rad', 'cte_sigma': 'est_cte_sigma_m', 'he_sigma': 'est_he_sigma_rad',
-    'clearance': CLEARANCE_COLUMN,
+    'clearance': CLEARANCE_COLUMN, 'hold_distance': HOLD_COLUMN,
 })
 """Column of each signal of :data:`.mtl.specs.SIGNALS` that does not depend on earlier frames."""
 
@@ -80,7 +82,7 @@ _OF_STEP: Mapping[str, Callable[[Step], float]] = {
 
 
 def columns_of_steps(
-    steps: Sequence[Step], specs: Sequence[str], *, others: bool = False
+    steps: Sequence[Step], specs: Sequence[str], *, others: bool = False, holds: bool = False
 ) -> dict[str, Column]:
     """Columns of a run, one row per step.
 
@@ -88,12 +90,14 @@ def columns_of_steps(
         steps: steps of the run, in order.
         specs: names of the formulas, in the order of each step's readings.
         others: whether others are on the ground.
+        holds: whether there are hold lines.
 
     Returns:
         ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool (whether the
         estimate was usable, as in formulas), the columns of :data:`STEP_UNITS` as float64 (NaN
-        where it was not), with others :data:`CLEARANCE_COLUMN`, with a covariance
-        :data:`SIGMA_COLUMNS`, and for each formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
+        where it was not), with others :data:`CLEARANCE_COLUMN`, with hold lines
+        :data:`HOLD_COLUMN`, with a covariance :data:`SIGMA_COLUMNS`, and for each formula
+        ``rho_lower.<name>`` and ``rho_upper.<name>``.
     """
     columns: dict[str, Column] = {
         'seq': np.array([step.observation.seq for step in steps], dtype=np.int64),
@@ -104,6 +108,8 @@ def columns_of_steps(
         columns[name] = np.array([value(step) for step in steps], dtype=np.float64)
     if others:
         columns[CLEARANCE_COLUMN] = np.array([step.clearance_m for step in steps], np.float64)
+    if holds:
+        columns[HOLD_COLUMN] = np.array([step.hold_distance_m for step in steps], np.float64)
     if any(step.estimate.covariance != UNKNOWN_COVARIANCE for step in steps):
         for name, sigma in SIGMA_COLUMNS.items():
             columns[name] = np.array([sigma(step.estimate) for step in steps], np.float64)

@@ -343,7 +343,7 @@ def given_sensors(measured: Measured | None, who: str) -> Measured:
     if measured is None:
         raise UsageError(
             f'{who} has a parameter sensors, which are there only in runs whose scenario has some, '
-            'as with sensors=standard'
+            'as with sensors=standard, or a hold_line'
         )
     return measured
 

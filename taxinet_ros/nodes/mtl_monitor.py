@@ -135,6 +135,9 @@ class MtlMonitor(Participant):
             clearance_m=self._clearance.at(
                 stamp_ns, odometry.value.x_m, odometry.value.y_m, odometry.value.attitude
             ),
+            hold_distance_m=self._clearance.to_hold_line(
+                stamp_ns, odometry.value.x_m, odometry.value.y_m
+            ),
         )
         readings = self._readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():

@@ -37,6 +37,7 @@ from taxinet_ros.scenes.values import (
     OVERRIDES,
     PLANE_KEYS,
     SHORT_PLANE_KEYS,
+    UNTIL,
     Place,
     ProgramError,
     behavior_arguments,
@@ -300,6 +301,7 @@ def _with_effect(thing: Any, scenario: Any) -> set[str]:
         if any('height' in _declared(kind) for kind in type(thing).__mro__
                if kind.__module__ == MODEL):
             found.add('height')  # not of what lies flat
+        found.add(UNTIL)
     others = (one for one in scenario.objects if one is not thing)
     if any(one.allowCollisions is not True for one in others):
         found.add('allowCollisions')

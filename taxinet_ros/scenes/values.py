@@ -94,7 +94,7 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
 
 _AHEAD = 'ahead_m'
 
-KIND, COLOUR = 'kind', 'colour'
+KIND, COLOUR, UNTIL = 'kind', 'colour', 'until_s'
 """Properties of the world model's ground objects, besides Scenic's own."""
 
 REACTIONS = ('stands_within', 'starts_within')
@@ -173,6 +173,8 @@ def _ground_object(thing: Any) -> dict[str, Any]:
     }
     if colour := plain_value(COLOUR, getattr(thing, COLOUR)):
         values['colour'] = colour
+    if (until := getattr(thing, UNTIL, None)) is not None:
+        values[UNTIL] = plain_value(UNTIL, until)
     if thing.behavior is not None:
         values |= _motion(thing, behavior_arguments(thing.behavior))
     return values

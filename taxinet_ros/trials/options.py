@@ -15,6 +15,7 @@ from taxinet_ros.core.camera.airframe import covering_doubts
 from taxinet_ros.core.faults import check_free, unseen_faults
 from taxinet_ros.core.motion.aircraft import checked_aircraft
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains, typed_gain
+from taxinet_ros.core.motion.hold_short import HoldShort, check_holding
 from taxinet_ros.core.pacing.timing import Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import GroundTruth, check_perception, network_doubts
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
@@ -117,6 +118,8 @@ class CampaignOptions(System):
         scenes = (first, *more)
         for scene in scenes if self.timing.free else ():
             check_free(scene)
+        for scene in scenes if self.controller.partition('+')[0] == HoldShort.word else ():
+            check_holding(scene)
         usual_mps = SteeringGains().speed_mps
         if self.gains.get('speed_mps') == usual_mps != first.speed_mps:
             raise UsageError(

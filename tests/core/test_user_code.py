@@ -273,7 +273,7 @@ def test_given_a_node_elsewhere_then_it_is_for_graphs_only(check):
 def test_given_another_controller_then_gains_of_the_law_are_refused():
     with pytest.raises(UsageError, match=r'steering\.heading_gain: .*not to controller external'):
         check_controller('external', {'heading_gain': 1.0}, graph=True)
-    with pytest.raises(UsageError, match="controller: 'pid' is unknown; known: steering, or FILE"):
+    with pytest.raises(UsageError, match="'pid' is unknown; known: steering, hold_short, or"):
         check_controller('pid')
 
 

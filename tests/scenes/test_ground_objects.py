@@ -70,6 +70,23 @@ def test_given_random_places_then_they_are_dimensions_and_points_set_them(write)
         assert source.scene(5) == source.scene(5) != source.scene(6)
 
 
+def test_given_hold_lines_then_when_they_are_cleared_is_a_dimension_and_of_others_refused(write):
+    text = 'new HoldLine at (1, Range(450, 480)), with until_s Range(10, 20)\n'
+    with SceneSource(write(HEAD + text + 'new HoldLine at (0, 600)\n'), seed=1) as source:
+        names = [dimension.name for dimension in source.space()]
+        assert names == ['object1.position.y', 'object1.until_s']
+        first, last = source.scene(0, (0.0, 0.5)).others.hold_lines
+    assert (first.x_m, first.y_m, first.until_s) == (450, -1, pytest.approx(15, abs=1e-5))
+    assert (last.x_m, last.until_s, last.size.height_m) == (600, math.inf, 0.0)
+    for wrong, words in (
+        ('new Cone at (0, 500), with until_s 3', '3: with until_s: no property of Cone'),
+        ("new HoldLine at (0, 500), with until_s 'soon'", 'until_s: expected a number, 0 to 3600'),
+        ('new HoldLine at (30, 500)', 'has no effect: it is 30.0 m beside the track runway'),
+    ):
+        with pytest.raises(UsageError, match=words):
+            sample_scenarios(write(HEAD + wrong), 1, 1)
+
+
 @pytest.mark.parametrize('by', ['the program', 'the command line'])
 def test_given_a_track_then_objects_are_placed_along_it_as_the_aircraft_is(write, by):
     text = """ego = new Plane at (1, 380)

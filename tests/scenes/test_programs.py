@@ -137,7 +137,7 @@ def test_given_no_checkout_when_a_word_is_sought_then_the_installed_copies_are_l
 def test_given_an_unknown_word_when_sought_then_the_known_ones_are_listed(word: str) -> None:
     with pytest.raises(UsageError) as caught:
         find_program(word)
-    assert 'known: anywhere, crossing, halton_time_of_day, nominal, runway' in str(caught.value)
+    assert 'known: anywhere, crossing, halton_time_of_day, hold_short, nominal' in str(caught.value)
     assert '\n' not in str(caught.value)
 
 
@@ -149,6 +149,6 @@ def test_given_a_file_of_another_kind_when_sought_then_it_is_refused(tmp_path: P
 
 def test_given_the_shipped_folder_when_listed_then_every_program_is_known() -> None:
     assert known_programs() == (
-        'anywhere', 'crossing', 'halton_time_of_day', 'nominal', 'runway_position', 's_falsif',
-        's_falsif_ce', 'training_crossing', 'training_full', 'training_original',
+        'anywhere', 'crossing', 'halton_time_of_day', 'hold_short', 'nominal', 'runway_position',
+        's_falsif', 's_falsif_ce', 'training_crossing', 'training_full', 'training_original',
     )

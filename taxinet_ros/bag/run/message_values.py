@@ -150,6 +150,14 @@ def clearance_of(clearance: Clearance | None, odometry: Any) -> float:
     return clearance.at(stamp_of(odometry), float(place.x), float(place.y), attitude)
 
 
+def hold_distance_of(clearance: Clearance | None, odometry: Any) -> float:
+    """The way to a hold line at an odometry message [m]; NaN where either is None."""
+    if clearance is None or odometry is None:
+        return math.nan
+    place = odometry.pose.pose.position
+    return clearance.to_hold_line(stamp_of(odometry), float(place.x), float(place.y))
+
+
 def track_of(message: Any) -> Track | None:
     """The track of a scenario message; None for the runway's centreline.
 
@@ -188,6 +196,7 @@ def sample_of(
         estimate=error_of(estimate) if estimate is not None else _NO_ESTIMATE,
         command=command_of(command) if command is not None else _NO_COMMAND,
         clearance_m=clearance_of(clearance, odometry),
+        hold_distance_m=hold_distance_of(clearance, odometry),
     )
 
 

@@ -50,7 +50,7 @@ _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
     'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'cte_sigma': ESTIMATE,
     'he_sigma': ESTIMATE, 'estimate_gap': ESTIMATE, 'unusable_share': ESTIMATE,
-    'clearance': ODOMETRY, 'collision': ODOMETRY,
+    'clearance': ODOMETRY, 'collision': ODOMETRY, 'hold_distance': ODOMETRY,
 }
 """Topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
 
@@ -225,7 +225,7 @@ def _of_run(
         stopped_early=bool(getattr(verdict, 'stopped_early', False)),
         unusable_estimates=int(getattr(verdict, 'unusable_estimates', 0)),
         trouble=trouble, there=there, timing=timing, period_ns=period_ns,
-        note='' if clearance is None or clearance.anybody else (
+        note='' if clearance is None or clearance.may_violate(names) else (
             'nobody is on the ground, so nothing could violate a formula about others'),
         flaws=_partial({
             topic: steps[topic] for topic in topics if topic not in answers

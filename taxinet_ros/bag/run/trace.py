@@ -17,6 +17,7 @@ from taxinet_ros.bag.run.message_values import (
     clearance_of,
     command_of,
     error_of,
+    hold_distance_of,
     stamp_of,
     track_of,
 )
@@ -32,7 +33,7 @@ from taxinet_ros.bag.run.topics import (
 )
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.scenario_fields import TRAFFIC
-from taxinet_ros.core.trace import CLEARANCE_COLUMN, SIGMA_COLUMNS, STEP_UNITS
+from taxinet_ros.core.trace import CLEARANCE_COLUMN, HOLD_COLUMN, SIGMA_COLUMNS, STEP_UNITS
 from taxinet_ros.core.traffic.traffic import NOBODY
 from taxinet_ros.core.types import UNKNOWN_COVARIANCE
 from taxinet_ros.errors import UsageError
@@ -166,6 +167,8 @@ def _poses(scenarios: Sequence[Any], odometry: Sequence[Any]) -> dict[int, dict[
         }
         if clearance is not None:
             pose[CLEARANCE_COLUMN] = clearance_of(clearance, message)
+            if clearance.may_violate(['hold_distance']):
+                pose[HOLD_COLUMN] = hold_distance_of(clearance, message)
     return poses
 
 

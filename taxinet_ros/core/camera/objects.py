@@ -19,7 +19,7 @@ from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.atmosphere import Atmosphere
 from taxinet_ros.core.camera.light import GAMMA, CloudShade, Light, display_code
 from taxinet_ros.core.traffic.shapes import PAINT, UNSEEN, body, daylight_colour, face_normal
-from taxinet_ros.core.traffic.traffic import GroundObject, Holds, Pose, Traffic
+from taxinet_ros.core.traffic.traffic import HOLD_LINE, GroundObject, Holds, Pose, Traffic
 
 Vectors = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -42,15 +42,16 @@ _BOUNCE = 0.18
 _MOST_BEAM = 2.2
 """Beam on a face that looks at the sun, over that on level ground: the exposure limits it."""
 
-Polygons = Sequence[tuple[Sequence[tuple[float, float]], float]]
-"""Polygons (length, width) of a mark, -0.5..0.5 of its size, and their opacity."""
+Polygon = Sequence[tuple[float, float]]
+Polygons = Sequence[tuple[Sequence[Polygon], float]]
+"""Polygons (length, width) of a mark, -0.5..0.5 of its size, painted at once, and their opacity."""
 
 
 def _arms() -> Polygons:
     half = 0.11
     return [
-        ([(-0.5, sign * (0.5 - half)), (-0.5, sign * 0.5), (-0.5 + half, sign * 0.5),
-          (0.5, -sign * (0.5 - half)), (0.5, -sign * 0.5), (0.5 - half, -sign * 0.5)], 0.88)
+        ([[(-0.5, sign * (0.5 - half)), (-0.5, sign * 0.5), (-0.5 + half, sign * 0.5),
+           (0.5, -sign * (0.5 - half)), (0.5, -sign * 0.5), (0.5 - half, -sign * 0.5)]], 0.88)
         for sign in (1, -1)
     ]
 
@@ -59,19 +60,30 @@ def _rectangle(x0: float, x1: float, y0: float, y1: float) -> list[tuple[float, 
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
+def _hold_line() -> Polygons:
+    """Two solid lines, first for who has to hold, and two broken ones, 0.3 m each."""
+    solid = [_rectangle(at / 7 - 0.5, (at + 1) / 7 - 0.5, -0.5, 0.5) for at in (0, 2)]
+    dashes = [
+        _rectangle(at / 7 - 0.5, (at + 1) / 7 - 0.5, dash / 24 - 0.5, (dash + 1) / 24 - 0.5)
+        for at in (4, 6) for dash in range(0, 24, 2)
+    ]
+    return [(solid + dashes, 0.88)]
+
+
 _MARKS: dict[str, Polygons] = {
     'closed_marking': _arms(),
-    'painted_over': [(_rectangle(-0.5, 0.5, -0.5, 0.5), 0.82)],
+    'painted_over': [([_rectangle(-0.5, 0.5, -0.5, 0.5)], 0.82)],
     'tyre_marks': [
-        (_rectangle(begin, end, side - 0.07, side + 0.07), opacity)
+        ([_rectangle(begin, end, side - 0.07, side + 0.07)], opacity)
         for side in (-0.43, 0.43)
         for begin, end, opacity in ((-0.5, -0.3, 0.35), (-0.3, 0.2, 0.6), (0.2, 0.5, 0.4))
     ],
     'patch': [
-        (_rectangle(-0.5, 0.5, -0.5, 0.5), 0.4),
-        (_rectangle(-0.5, 0.5, -0.5, -0.47), 0.6), (_rectangle(-0.5, 0.5, 0.47, 0.5), 0.6),
-        (_rectangle(-0.5, -0.485, -0.5, 0.5), 0.6), (_rectangle(0.485, 0.5, -0.5, 0.5), 0.6),
+        ([_rectangle(-0.5, 0.5, -0.5, 0.5)], 0.4),
+        ([_rectangle(-0.5, 0.5, -0.5, -0.47)], 0.6), ([_rectangle(-0.5, 0.5, 0.47, 0.5)], 0.6),
+        ([_rectangle(-0.5, -0.485, -0.5, 0.5)], 0.6), ([_rectangle(0.485, 0.5, -0.5, 0.5)], 0.6),
     ],
+    HOLD_LINE: _hold_line(),
 }
 
 
@@ -114,14 +126,17 @@ class ObjectsView:
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
             camera: the camera's place in ``map`` (3,).
         """
-        for one in self._traffic.marks:
-            pose = one.pose_at(0)
-            paint = np.array(daylight_colour(one.colour)) * self._gain
-            for polygon, opacity in _MARKS[one.kind]:
-                points = np.array(polygon) * (one.size.length_m, one.size.width_m)
-                flat = np.column_stack([points, np.zeros(len(points))])
-                optical = _to_optical(_placed(flat, pose), to_optical, camera)
-                found = self._coverage([optical])
+        for mark in self._traffic.marks:
+            pose = mark.pose_at(0)
+            paint = np.array(daylight_colour(mark.colour)) * self._gain
+            for polygons, opacity in _MARKS[mark.kind]:
+                scale = mark.size.length_m, mark.size.width_m
+                flat = [
+                    np.column_stack([np.array(one) * scale, np.zeros(len(one))]) for one in polygons
+                ]
+                found = self._coverage([
+                    _to_optical(_placed(part, pose), to_optical, camera) for part in flat
+                ])
                 if found is not None:
                     rows, columns, mask = found
                     _blend(ground[rows, columns], mask, paint, opacity)

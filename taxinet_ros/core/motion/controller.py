@@ -6,8 +6,9 @@ desired heading towards the centreline is proportional to the cross-track error,
 the nose wheel follows the difference between desired and current heading.
 
 Also the interchangeable controllers: input an estimated tracking error, output a taxi command. One
-is selected by a word: ``steering``, the shipped law with its gains, a name added by an installed
-package (:mod:`taxinet_ros.registry`), or a function in a Python file (``FILE.py:NAME``).
+is selected by a word: ``steering``, the shipped law with its gains, ``hold_short``, which also
+stops before hold lines (:mod:`.hold_short`), a name added by an installed package
+(:mod:`taxinet_ros.registry`), or a function in a Python file (``FILE.py:NAME``).
 """
 
 from __future__ import annotations
@@ -174,9 +175,9 @@ class Controller(Protocol):
     """Controller interface: one command per estimate and control step.
 
     Attributes:
-        word: :data:`STEERING`, the name given by a package, or ``python`` for a file.
+        word: a shipped name, the name given by a package, or ``python`` for a file.
         fingerprint: SHA-256 of the Python file and the files it lists, or of the package; empty for
-            the law.
+            what is shipped.
         needs_image: whether :meth:`see` is called with each frame, ahead of its estimate.
         needs_sensors: whether :meth:`sense` is called ahead of each command.
     """
@@ -281,14 +282,21 @@ def make_controller(word: str, gains: SteeringGains) -> Controller:
     """Create the controller selected by a word.
 
     Args:
-        word: :data:`STEERING`, a name added by a package, or ``FILE.py:NAME``.
+        word: a shipped name, one added by a package, or ``FILE.py:NAME``.
         gains: gains of the shipped law.
 
     Raises:
         UsageError: unknown word, or an unusable controller.
     """
     code = _code(word)
-    return SteeringLaw(gains) if code is None else UserController(code)
+    if code is not None:
+        return UserController(code)
+    if word == STEERING:
+        return SteeringLaw(gains)
+    extension = find(CONTROLLERS, word)
+    assert extension is not None
+    made: Controller = extension.load()()
+    return made
 
 
 def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool = False) -> str:
@@ -319,7 +327,7 @@ def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool 
 
 
 def _code(word: str) -> UserCode | None:
-    """User code selected by a word; None for the shipped law.
+    """User code selected by a word; None for what is shipped.
 
     Raises:
         UsageError: unknown word, or an unusable controller.

@@ -33,6 +33,7 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         'unusable_share': '1',
         'clearance': 'm',
         'collision': '1',
+        'hold_distance': 'm',
     }
 )
 """Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` are ground truth relative to the track,
@@ -42,12 +43,17 @@ Signs are defined in :mod:`taxinet_ros.core.types`: cross-track, heading and ste
 positive. ``estimate_gap`` is the time since the last usable estimate, 0 if this frame has one;
 ``unusable_share`` is the number of frames so far without one divided by that of all frames of the
 run; it only grows. ``clearance`` is the distance from the aircraft to others on the ground, and
-``collision`` 1 where it is 0, else 0 (:mod:`taxinet_ros.core.clearance`)."""
+``collision`` 1 where it is 0, else 0; ``hold_distance`` is the way from the nose along the track to
+the nearest hold line that is not cleared, negative beyond it
+(:mod:`taxinet_ros.core.clearance`)."""
 
 MOST_CLEARANCE_M = 1000.0
 """Greatest ``clearance``; what it is where nobody else is on the ground [m]."""
 
-OF_OTHERS = frozenset({'clearance', 'collision'})
+MOST_HOLD_DISTANCE_M = 1000.0
+"""Greatest ``hold_distance``; what it is where no hold line is left to be cleared [m]."""
+
+OF_OTHERS = frozenset({'clearance', 'collision', 'hold_distance'})
 """Signals about others on the ground."""
 
 CENTRELINE_TOLERANCE_M = 1.5
@@ -112,11 +118,12 @@ USABLE = (
 )
 NO_COLLISION = 'always(clearance > 0)'
 KEEP_CLEAR = f'always(clearance >= {LEAST_CLEARANCE_M})'
+HOLD_SHORT = 'always(hold_distance >= 0)'
 SHIPPED: Mapping[str, Spec] = MappingProxyType({
     name: _spec(name, parse_formula(text))
     for name, text in zip(
         registry.SHIPPED[registry.REQUIREMENTS],
-        (PHI_ALWAYS, PHI_EVENTUALLY, ON_RUNWAY, USABLE, NO_COLLISION, KEEP_CLEAR),
+        (PHI_ALWAYS, PHI_EVENTUALLY, ON_RUNWAY, USABLE, NO_COLLISION, KEEP_CLEAR, HOLD_SHORT),
         strict=True,
     )
 })

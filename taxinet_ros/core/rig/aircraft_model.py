@@ -91,6 +91,14 @@ class AircraftModel(NamedDocument):
     speed_gains: SpeedGains | None
     outline: tuple[Part, ...]
 
+    @property
+    def nose_m(self) -> float:
+        """How far the outline reaches ahead of the reference point [m]; NaN without one."""
+        return max(
+            (float(part.points[:, 0].max()) for part in self.outline if part.shades),
+            default=math.nan,
+        )
+
 
 def read_aircraft(path: Path, shipped: bool = False) -> AircraftModel:
     """Read the aircraft of a YAML file, and the files of its model.

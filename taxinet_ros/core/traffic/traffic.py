@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 from taxinet_ros.core.documents import NamedDocument, canonical
 
+HOLD_LINE = 'hold_line'
+"""The kind that is not to be crossed until it is cleared."""
 COLOURS = ('white', 'yellow', 'orange', 'red', 'blue', 'green', 'grey', 'black')
 NOBODY = 'nobody'
 """The word for no objects."""
@@ -53,8 +55,10 @@ KINDS = {
     'painted_over': Kind(size=Size(37.0, 1.3, 0.0), colour='black', solid=False),
     'tyre_marks': Kind(size=Size(40.0, 2.4, 0.0), colour='black', solid=False),
     'patch': Kind(size=Size(8.0, 5.0, 0.0), colour='black', solid=False),
+    HOLD_LINE: Kind(size=Size(2.1, 22.0, 0.0), colour='yellow', solid=False),
 }
-"""By word. The aircraft is of a Caravan's size; the X is as long as AC 150/5340-1 has it."""
+"""By word. The aircraft is of a Caravan's size; the X and the hold line are as long as AC
+150/5340-1 has them."""
 
 
 class Pose(NamedTuple):
@@ -114,6 +118,7 @@ class GroundObject:
         wait_s: how long it stands before it begins its path [s].
         path: that it follows to its end, where it stays; it turns as something with a wheel at
             either end does.
+        until_s: of a hold line: simulated time from which it may be crossed [s].
         stands_within_m: it stands, and its waits too, while the aircraft's reference point is
             nearer than this to its middle, in plan [m]; 0: it does not.
         starts_within_m: its path and ``wait_s`` begin when the aircraft first is nearer than this
@@ -128,6 +133,7 @@ class GroundObject:
     colour: str
     wait_s: float = 0.0
     path: tuple[Leg, ...] = ()
+    until_s: float = math.inf
     stands_within_m: float = 0.0
     starts_within_m: float = 0.0
 
@@ -148,11 +154,12 @@ class GroundObject:
         values: dict[str, Any] = {
             'kind': self.kind, 'x_m': self.x_m, 'y_m': self.y_m, 'heading_deg': self.heading_deg,
             **self.size._asdict(), 'colour': self.colour, 'wait_s': self.wait_s,
-            'stands_within_m': self.stands_within_m, 'starts_within_m': self.starts_within_m,
+            'until_s': self.until_s, 'stands_within_m': self.stands_within_m,
+            'starts_within_m': self.starts_within_m,
         }
         usual = {
             'heading_deg': 0.0, **known.size._asdict(), 'colour': known.colour, 'wait_s': 0.0,
-            'stands_within_m': 0.0, 'starts_within_m': 0.0,
+            'stands_within_m': 0.0, 'starts_within_m': 0.0, 'until_s': math.inf,
         }
         values = {key: one for key, one in values.items() if usual.get(key) != one}
         if self.path:
@@ -162,6 +169,11 @@ class GroundObject:
                 for leg in self.path
             ]
         return values
+
+    @property
+    def until_ns(self) -> float:
+        """Simulated time from which it may be crossed [ns]."""
+        return self.until_s if math.isinf(self.until_s) else round(self.until_s * 1e9)
 
     def pose_at(self, stamp_ns: int) -> Pose:
         """Where it is at a simulated time, less that for which it was held [ns]."""
@@ -264,6 +276,11 @@ class Traffic(NamedDocument):
     def marks(self) -> tuple[GroundObject, ...]:
         """Those that lie flat on the ground."""
         return tuple(one for one in self.objects if not one.solid)
+
+    @cached_property
+    def hold_lines(self) -> tuple[GroundObject, ...]:
+        """Those that are not to be crossed until they are cleared."""
+        return tuple(one for one in self.objects if one.kind == HOLD_LINE)
 
 
 def traffic_of(objects: Sequence[GroundObject]) -> Traffic:

@@ -13,6 +13,7 @@ from typing import Any
 from taxinet_ros.core.documents import Catalogue
 from taxinet_ros.core.traffic.traffic import (
     COLOURS,
+    HOLD_LINE,
     KINDS,
     NOBODY,
     GroundObject,
@@ -34,7 +35,7 @@ _X_M, _Y_M = (-2000.0, 8000.0), (-3000.0, 3000.0)
 
 _KEYS = (
     'kind', 'x_m', 'y_m', 'heading_deg', 'length_m', 'width_m', 'height_m', 'colour', 'wait_s',
-    'path', 'stands_within_m', 'starts_within_m',
+    'path', 'until_s', 'stands_within_m', 'starts_within_m',
 )
 _MOVES = ('wait_s', 'stands_within_m', 'starts_within_m')
 _LEG_KEYS = ('x_m', 'y_m', 'speed_mps', 'wait_s')
@@ -65,6 +66,8 @@ def _object(section: Section) -> GroundObject:
     for key in _MOVES:
         if key in section and 'path' not in section:
             raise section.wrong('has no effect without a path', key)
+    if 'until_s' in section and kind != HOLD_LINE:
+        raise section.wrong(f'only a {HOLD_LINE} is cleared, no {kind}; leave it out', 'until_s')
     size = Size(*(
         section.number(key, _LEAST_SIZE_M if usual else 0.0, _MOST_SIZE_M, usual)
         for key, usual in known.size._asdict().items()
@@ -79,6 +82,7 @@ def _object(section: Section) -> GroundObject:
         path=tuple(_legs(section, x_m, y_m)),
         stands_within_m=section.number('stands_within_m', *_WITHIN_M, 0.0),
         starts_within_m=section.number('starts_within_m', *_WITHIN_M, 0.0),
+        until_s=section.number('until_s', 0, _LONGEST_WAIT_S, math.inf),
     )
 
 

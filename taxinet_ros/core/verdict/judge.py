@@ -19,10 +19,11 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, reach_words, spec_line, warnings
-from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, OF_OTHERS, SHIPPED
+from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, MOST_HOLD_DISTANCE_M, OF_OTHERS, SHIPPED
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.rig.aircraft_model import USUAL_SPEED_MPS
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.traffic import HOLD_LINE
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.verdict.judging import StopOn, stops
 from taxinet_ros.core.verdict.run_statistics import (
@@ -96,14 +97,19 @@ def check_others(specs: Sequence[Spec], scenario: Scenario) -> None:
     """Refuse formulas about others on the ground where nobody is: nothing could violate them.
 
     Raises:
-        UsageError: there is such a formula, and nothing that can be hit, or the aircraft has no
-            outline.
+        UsageError: there is such a formula, and nothing that can be hit or no hold line, or the
+            aircraft has no outline.
     """
     read = [(spec, name) for spec in specs for name in signal_names(spec.formula)]
     for spec, name in read:
         if name not in OF_OTHERS:
             continue
-        if not scenario.others.solids:
+        if name == 'hold_distance' and not scenario.others.hold_lines:
+            raise UsageError(
+                f'{spec.name}: reads {name}, and there is no {HOLD_LINE}; place one on the track '
+                '(docs/world.md), or leave the formula out'
+            )
+        if name != 'hold_distance' and not scenario.others.solids:
             raise UsageError(
                 f'{spec.name}: reads {name}, and nobody is on the ground to be near; place '
                 'objects that can be hit (docs/world.md), or leave the formula out'
@@ -148,6 +154,7 @@ def signal_ranges(
         'estimate_gap': (0.0, duration_s + _period_ns(scenario) / NS_PER_S),
         'unusable_share': (0.0, 1.0), 'cte_sigma': (0.0, math.inf), 'he_sigma': (0.0, math.inf),
         'clearance': (0.0, MOST_CLEARANCE_M), 'collision': (0.0, 1.0),
+        'hold_distance': (-math.inf, MOST_HOLD_DISTANCE_M),
     }
     if gains is None or scenario is None:
         return ranges

@@ -29,7 +29,7 @@ class Senses:
         Args:
             node: the node.
             answer: called with each input, in order, and its measurements; None in a run without
-                sensors.
+                sensors and hold lines.
         """
         self._answer = answer
         self._schedule = Schedule(Scenario(), Scenario().period_ns)
@@ -65,8 +65,8 @@ class Senses:
         self._add(topic, self._schedule.step_of(topic, stamp_of(message)), message)
 
     def _add(self, topic: str, seq: int, message: Any) -> None:
-        for _, came in self._steps.add(topic, seq, message):
+        for step, came in self._steps.add(topic, seq, message):
             there = self._schedule.sensors.present
-            self._answer(came[_STEP][0], measured_of(self._schedule, {
+            self._answer(came[_STEP][0], measured_of(self._schedule, step, {
                 one.name: came.get(SENSORS[one.name].name, []) for one in there
-            }) if there else None)
+            }) if there or self._schedule.hold_lines else None)

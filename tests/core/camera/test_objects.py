@@ -44,6 +44,7 @@ def test_given_nobody_then_the_picture_is_that_of_before_to_the_bit():
 @pytest.mark.parametrize(('kind', 'ahead_m', 'left_m'), [
     ('cone', 8, -3), ('person', 12, 1), ('vehicle', 25, -6), ('aircraft', 60, -15),
     ('closed_marking', 30, -3), ('patch', 14, -5), ('painted_over', 40, 0),
+    ('hold_line', 20, -2),
 ])
 def test_given_an_object_then_it_is_where_it_projects_and_nowhere_else(kind, ahead_m, left_m):
     rows, columns, *_ = changed(there(kind, ahead_m, left_m), **DULL)

@@ -33,6 +33,7 @@ def test_given_the_shipped_names_when_asked_then_they_are_the_papers_formulas() 
         'usable': 'always((estimate_gap <= 0.5) and (unusable_share <= 0.05))',
         'no_collision': 'always(clearance > 0)',
         'keep_clear': 'always(clearance >= 3)',
+        'hold_short': 'always(hold_distance >= 0)',
     }
     for name, spec in SHIPPED.items():
         assert parse_spec(f' {name} ') is spec
@@ -92,7 +93,7 @@ def test_given_a_shipped_name_with_its_own_formula_when_read_then_it_is_accepted
 
 
 def test_given_every_signal_when_used_then_it_is_known_with_a_unit() -> None:
-    assert len(SIGNALS) == 13
+    assert len(SIGNALS) == 14
     text = ' and '.join(f'{name} < 1' for name in SIGNALS)
     assert signal_names(parse_formula(text)) == tuple(sorted(SIGNALS))
     assert all(SIGNALS.values())

@@ -25,6 +25,7 @@ VAN = {
     'kind': 'vehicle', 'x_m': 730, 'y_m': -12, 'heading_deg': 90, 'wait_s': 1.0,
     'path': [{'x_m': 730, 'y_m': 12, 'speed_mps': 4}],
 }
+HOLD = {'kind': 'hold_line', 'x_m': 722, 'y_m': 1, 'until_s': 2.5}
 REACTING = [
     {'kind': 'vehicle', 'x_m': 685, 'y_m': 8, 'stands_within_m': 17,
      'path': [{'x_m': 800, 'y_m': 0, 'speed_mps': 9}]},
@@ -68,6 +69,7 @@ SCENES = [
         'cross_track': 4.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5, 'duration': 6,
         'traffic': tx.load_traffic([
             VAN, PARKED, {'kind': 'closed_marking', 'x_m': 735, 'y_m': 0}, *REACTING,
+            HOLD,
         ]),
     }),
 ]
@@ -75,7 +77,8 @@ STEPS = 61
 
 
 def specs_of(scene: tx.Scenario) -> tuple[str, ...]:
-    return (*SPECS, 'no_collision', 'keep_clear') if scene.others.solids else SPECS
+    others = 'no_collision', 'keep_clear', 'hold_short'
+    return (*SPECS, *others) if scene.others.solids else SPECS
 
 
 def requests() -> list[RunRequest]:
@@ -133,6 +136,34 @@ def test_given_the_same_run_after_another_one_then_nothing_of_the_first_is_left_
         judged_in(composed_graph(options), *asked)
     both, alone = (files(tmp_path / name / second.run_id) for name in ('both', 'alone'))
     assert both == alone
+
+
+@pytest.mark.parametrize('sensors', ['standard', 'none'])
+def test_given_hold_lines_when_run_as_a_graph_then_the_controller_is_told_as_in_the_loop(
+    sensors, tmp_path
+):
+    file = tmp_path / 'own.py'
+    file.write_text(
+        'def steer(estimate, sensors):\n'
+        '    return 0.001 * sum(sensors.hold_lines_m) / 500, 5.0 if sensors.hold_lines_m else 2.0\n'
+    )
+    controller = 'hold_short' if sensors == 'standard' else f'{file}:steer'
+    lines = [{**HOLD, 'x_m': 727, 'until_s': 7.0}, {**HOLD, 'x_m': 760, 'until_s': 8.5}]
+    scene = scenario_from_human({
+        'distance': 700, 'cross_track': 2, 'duration': 9, 'sensors': sensors,
+        'traffic': tx.load_traffic(lines),
+    })
+    specs = 'hold_short', 'phi_always'
+    asked = request('run-0', scenario=scene, judging=Judging(specs=specs))
+    options = GraphOptions(perception='truth', controller=controller, out=tmp_path / 'bags')
+    (result,) = judged_in(composed_graph(options), asked)
+    here = tx.run(scene, perception='truth', controller=controller, specs=specs)
+    there = open_recording(tmp_path / 'bags' / 'run-0')
+    assert there.trace.equals(here.trace)
+    assert len(here.trace) == 91
+    assert here.trace.speed_cmd_mps.nunique() > (10 if sensors == 'standard' else 1)
+    assert list(result.rho.values()) == [interval.lower for interval in here.rho.values()]
+    assert there.judge('hold_short').interval == here.rho['hold_short']
 
 
 def test_given_a_network_with_a_view_when_run_as_a_graph_then_every_bit_is_that_of_the_loop(
