@@ -203,3 +203,14 @@ def test_given_objects_of_another_sort_in_each_scene_then_a_formula_about_others
     scenes = ProgramOrder(options)
     with scenes.source, refused:
         scenes.prepare()
+
+
+def test_given_hold_lines_of_a_file_then_they_may_be_on_the_track_that_the_program_follows(write):
+    line = '{"objects": [{"kind": "hold_line", "x_m": 900, "y_m": 114, "heading_deg": 90}]}'
+    turn = "model runway_world\nparam track = 'exit_left'\nego = new Plane at (0, 340)\n"
+    (given,) = sample_scenarios(write(turn), 1, 1, {'traffic': line})
+    (said,) = sample_scenarios(write(f"{turn}param traffic = '{line}'\n"), 1, 1)
+    assert given == said
+    assert len(said.hold_lines) == 1
+    with pytest.raises(UsageError, match='no effect: it is 114'):
+        sample_scenarios(write(HEAD), 1, 1, {'traffic': line})
