@@ -42,6 +42,7 @@ from taxinet_ros.core.scenario_fields import (
     SKY,
     TIME_OF_DAY,
     TRACK,
+    TRAFFIC,
     WIND_DIRECTION,
     WIND_SPEED,
     by_key,
@@ -270,8 +271,8 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     if not place and field is TRACK:
         field.checked(value)
         return
-    if field is not None and is_point(field.key):
-        field.checked(field.from_human(value))
+    if field is not None and (field is TRAFFIC or is_point(field.key)):
+        field.checked(field.from_human(value))  # hold lines fit a track, which a program may set
         return
     if not place and field is not None and field.anywhere is not None:
         field.checked(field.from_human(value), field.anywhere)

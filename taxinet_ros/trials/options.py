@@ -129,10 +129,10 @@ class CampaignOptions(System):
         known = self.controller == STEERING and not self.standing_graph
         gains = SteeringGains(**self.gains) if known else None
         asked = self.judging.parsed_specs
-        if reads_others(asked) and (
-            TRAFFIC.key in {**self.overrides, **self.laid_over} or TRAFFIC.key not in drawn()
-        ):
-            check_others(asked, first)
+        if reads_others(asked):
+            given = TRAFFIC.key in {**self.overrides, **self.laid_over}
+            differ = not given and TRAFFIC.key in drawn()
+            check_others(asked, *(scenes[1:] if differ else (first,)))
         found = check_specs(asked, first, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         unseen = unseen_faults(first) if self.perception == GroundTruth.word else []

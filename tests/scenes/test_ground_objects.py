@@ -1,5 +1,6 @@
 """Others on the ground in Scenic programs: evaluated to data; the rest is refused by name."""
 
+import contextlib
 import math
 
 import pytest
@@ -9,6 +10,8 @@ from taxinet_ros.core.traffic.traffic_file import load_traffic
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.scenes.source import Rejected, SceneSource, sample_scenarios
+from taxinet_ros.trials.campaign import ProgramOrder
+from taxinet_ros.trials.options import make_options
 
 HEAD = 'model runway_world\nego = new Plane at (0, 400)\n'
 BUSY = HEAD + """
@@ -180,3 +183,34 @@ def test_given_a_size_that_cannot_be_by_chance_then_only_such_scenes_are_rejecte
         assert all('width_m: expected a number, 0.1' in word for word in words)
         assert 3 < len(widths) < 17
         assert all(0.1 <= width <= 3 and math.isfinite(width) for width in widths)
+
+
+@pytest.mark.parametrize(('thing', 'spec', 'words'), [
+    ('Cone at (Range(5, 7), 440)', 'hold_short', 'reads hold_distance, and there is no hold_line'),
+    ('HoldLine at (0, Range(440, 460))', 'keep_clear', 'reads clearance, and nobody is on the gr'),
+    ('HoldLine at (0, Range(440, 460))', 'hold_short', ''),
+])
+def test_given_objects_of_another_sort_in_each_scene_then_a_formula_about_others_is_refused(
+    tmp_path, thing, spec, words
+):
+    program = tmp_path / 'mine.scenic'
+    program.write_text(f'model runway_world\nego = new Plane at (0, 400)\nnew {thing}\n')
+    refused = pytest.raises(UsageError, match=words) if words else contextlib.nullcontext()
+    options = make_options(
+        program=str(program), runs=2, seed=0, perception='truth', specs=[spec],
+        out=tmp_path / 'out',
+    )
+    scenes = ProgramOrder(options)
+    with scenes.source, refused:
+        scenes.prepare()
+
+
+def test_given_hold_lines_of_a_file_then_they_may_be_on_the_track_that_the_program_follows(write):
+    line = '{"objects": [{"kind": "hold_line", "x_m": 900, "y_m": 114, "heading_deg": 90}]}'
+    turn = "model runway_world\nparam track = 'exit_left'\nego = new Plane at (0, 340)\n"
+    (given,) = sample_scenarios(write(turn), 1, 1, {'traffic': line})
+    (said,) = sample_scenarios(write(f"{turn}param traffic = '{line}'\n"), 1, 1)
+    assert given == said
+    assert len(said.hold_lines) == 1
+    with pytest.raises(UsageError, match='no effect: it is 114'):
+        sample_scenarios(write(HEAD), 1, 1, {'traffic': line})

@@ -93,32 +93,36 @@ def reads_others(specs: Sequence[Spec]) -> bool:
     return any(name in OF_OTHERS for spec in specs for name in signal_names(spec.formula))
 
 
-def check_others(specs: Sequence[Spec], scenario: Scenario) -> None:
+def check_others(specs: Sequence[Spec], *scenarios: Scenario) -> None:
     """Refuse formulas about others on the ground where nobody is: nothing could violate them.
+
+    Args:
+        specs: the formulas.
+        scenarios: scenes of one program; it is enough that one has what a formula is about.
 
     Raises:
         UsageError: there is such a formula, and nothing that can be hit or no hold line, or the
             aircraft has no outline.
     """
     read = [(spec, name) for spec in specs for name in signal_names(spec.formula)]
-    for spec, name in read:
+    for spec, name in read if scenarios else ():
         if name not in OF_OTHERS:
             continue
-        if name == 'hold_distance' and not scenario.others.hold_lines:
+        if name == 'hold_distance' and not any(one.others.hold_lines for one in scenarios):
             raise UsageError(
                 f'{spec.name}: reads {name}, and there is no {HOLD_LINE}; place one on the track '
                 '(docs/world.md), or leave the formula out'
             )
-        if name != 'hold_distance' and not scenario.others.solids:
+        if name != 'hold_distance' and not any(one.others.solids for one in scenarios):
             raise UsageError(
                 f'{spec.name}: reads {name}, and nobody is on the ground to be near; place '
                 'objects that can be hit (docs/world.md), or leave the formula out'
             )
-        if not any(part.shades for part in scenario.aircraft_model.outline):
+        aircraft = [one.aircraft_model for one in scenarios]
+        if not any(part.shades for one in aircraft for part in one.outline):
             raise UsageError(
-                f'{spec.name}: reads {name}, and the outline of aircraft '
-                f'{scenario.aircraft_model.name} is unknown; give it one (docs/world.md), or leave '
-                'the formula out'
+                f'{spec.name}: reads {name}, and the outline of aircraft {aircraft[0].name} is '
+                'unknown; give it one (docs/world.md), or leave the formula out'
             )
 
 
