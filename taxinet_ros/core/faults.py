@@ -21,7 +21,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.sensors import NO_SENSORS
 from taxinet_ros.core.traffic.traffic import HOLD_LINE
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, steps_in
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, reached_ns, steps_in
 from taxinet_ros.errors import UsageError
 
 
@@ -54,7 +54,7 @@ def check_free(scenario: Scenario) -> None:
 
 def begun(scenario: Scenario, stamp_ns: int) -> bool:
     """Whether the scenario's faults hold at a simulated time."""
-    return stamp_ns >= round(scenario.fault_onset_s * NS_PER_S)
+    return stamp_ns >= reached_ns(scenario.fault_onset_s)
 
 
 def frame_lost(scenario: Scenario, stamp_ns: int) -> bool:
@@ -65,8 +65,8 @@ def frame_lost(scenario: Scenario, stamp_ns: int) -> bool:
 
 def shown_step(scenario: Scenario, seq: int, period_ns: int) -> int:
     """Step whose picture the camera delivers at step ``seq``: that of the onset, while frozen."""
-    onset = steps_in(round(scenario.fault_onset_s * NS_PER_S), period_ns)
-    repeats = steps_in(round(scenario.camera_freeze_s * NS_PER_S), period_ns)
+    onset = steps_in(reached_ns(scenario.fault_onset_s), period_ns)
+    repeats = steps_in(reached_ns(scenario.camera_freeze_s), period_ns)
     return onset if onset < seq <= onset + repeats else seq
 
 
@@ -78,7 +78,7 @@ def loop_delay_ns(scenario: Scenario, stamp_ns: int) -> int:
         return 0
     if jitter_s:
         delay_s += jitter_s * _chance(scenario, 'jitter', stamp_ns)
-    return round(delay_s * NS_PER_S)
+    return reached_ns(delay_s)
 
 
 def _chance(scenario: Scenario, name: str, stamp_ns: int) -> float:

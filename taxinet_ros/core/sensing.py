@@ -38,7 +38,14 @@ from taxinet_ros.core.sensors import (
 )
 from taxinet_ros.core.topics import SENSORS
 from taxinet_ros.core.traffic.traffic import NOTHING_HELD, Holds
-from taxinet_ros.core.types import NS_PER_S, AircraftState, quaternion, step_stamp_ns, steps_in
+from taxinet_ros.core.types import (
+    NS_PER_S,
+    AircraftState,
+    quaternion,
+    reached_ns,
+    step_stamp_ns,
+    steps_in,
+)
 from taxinet_ros.errors import UsageError
 
 GRAVITY_MPS2 = 9.80665
@@ -55,11 +62,10 @@ class Schedule:
         self.scenario, self.period_ns = scenario, period_ns
         self.sensors = scenario.sensor_set
         self.hold_lines = scenario.hold_lines
-        # From start and seed only: the same for each value of other keys.
-        start = struct.pack(
-            '<4d', scenario.cross_track_m, scenario.distance_m, scenario.heading_rad,
-            scenario.fault_seed,
-        )
+        # From start and seed only: the same for each value of other keys. Zero has one sign.
+        start = struct.pack('<4d', *(0.0 + value for value in (
+            scenario.cross_track_m, scenario.distance_m, scenario.heading_rad, scenario.fault_seed,
+        )))
         self._seed = list(hashlib.sha256(start).digest())
         self._drawn: dict[tuple[str, int], list[list[float]]] = {}
 
@@ -72,7 +78,7 @@ class Schedule:
         """Sensor and number of each measurement that arrives at a step, in order."""
         begin_ns, end_ns = (step_stamp_ns(one, self.period_ns) for one in (seq - 1, seq))
         for sensor in self.sensors.present:
-            delay_ns = round(sensor.delay_s * NS_PER_S)
+            delay_ns = reached_ns(sensor.delay_s)
             arriving = sensor.between(begin_ns - delay_ns, end_ns - delay_ns)
             yield from ((sensor, number) for number in arriving if not self.lost(sensor, number))
 
@@ -88,7 +94,7 @@ class Schedule:
     def step_of(self, topic: str, stamp_ns: int) -> int:
         """Control step at which the measurement of a time arrives on a topic."""
         delay_ns = next((
-            round(one.delay_s * NS_PER_S) for one in self.sensors.present
+            reached_ns(one.delay_s) for one in self.sensors.present
             if SENSORS[one.name].name == topic
         ), 0)
         return steps_in(stamp_ns + delay_ns, self.period_ns)

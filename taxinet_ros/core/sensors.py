@@ -22,7 +22,7 @@ from taxinet_ros.core.place.runway_frame import GeodeticPose, runway_frame
 from taxinet_ros.core.place.track import Track
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import CAMERAS
-from taxinet_ros.core.types import NS_PER_S, step_stamp_ns, steps_in, yaw_of
+from taxinet_ros.core.types import NS_PER_S, reached_ns, step_stamp_ns, steps_in, yaw_of
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
@@ -70,7 +70,7 @@ class Sensor:
     def silent(self, stamp_ns: int) -> bool:
         """Whether a time is in a drop-out, the start included and the end not."""
         return any(
-            round(start_s * NS_PER_S) <= stamp_ns < round((start_s + length_s) * NS_PER_S)
+            reached_ns(start_s) <= stamp_ns < reached_ns(start_s + length_s)
             for start_s, length_s in self.dropouts
         )
 

@@ -72,7 +72,8 @@ class Signal:
             stamp_ns: simulated time [ns].
         """
         times, values = (0, *self.times_ns), [start, *self.values]
-        here = max(bisect_right(times, stamp_ns) - 1, 0)
+        # A jump comes with the step at its time, whose stamp may be rounded down.
+        here = max(bisect_right(times, stamp_ns + (self.form == CONSTANT)) - 1, 0)
         if self.form == CONSTANT or times[here] == stamp_ns or here == len(self.times_ns):
             return values[here]
         if self.period:

@@ -57,6 +57,18 @@ def steps_in(time_ns: int, period_ns: int) -> int:
     return -(-time_ns * (NS_PER_S // period_ns) // NS_PER_S)
 
 
+def reached_ns(time_s: float) -> int:
+    """First stamp at which a simulated time has come, a nanosecond early [ns].
+
+    Stamps are rounded down: that of 2/30 s is 66,666,666, but the time to the nearest nanosecond
+    is one more, and would come a step late.
+
+    Args:
+        time_s: the time, or a length of time [s].
+    """
+    return max(round(time_s * NS_PER_S) - 1, 0)
+
+
 def time_words(time_s: float, width: int = 0) -> str:
     """A simulated time [s] in tenths, or with the decimals that it takes: ``3.0 s``, ``0.125 s``.
 

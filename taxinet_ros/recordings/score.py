@@ -311,6 +311,8 @@ def make_setup(
     both = [f'/{topic.name}' for topic in topics.FRAMES]  # of a run of ours: its first camera
     given = options.image or (both[0] if set(both) <= recording.counts.keys() else '')
     image = '' if without else recording.topic(given, IMAGES, 'image')
+    if image == both[1] and scenario is not None and not options.camera:
+        rig = replace(scenario.rig, camera=scenario.cameras[-1])
     for option in ('camera', 'monitor', 'dataset'):
         if without and getattr(options, option):
             raise UsageError(f'{option}: without pictures it has no effect')

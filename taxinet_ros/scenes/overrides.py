@@ -21,6 +21,7 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA,
     CAMERA_OFFSETS,
     CATALOGUES,
+    CONTROL_RATE,
     CONTROL_RATES_HZ,
     DISTANCE,
     DRAWN_FAULTS,
@@ -50,6 +51,7 @@ from taxinet_ros.core.scenario_fields import (
     is_point,
     split_point,
 )
+from taxinet_ros.core.sensors import find_sensors
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.values import OVERRIDES
@@ -278,11 +280,20 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
         field.checked(field.from_human(value), field.anywhere)
         return
     # Check each with values that allow it: rain with a rainy sky, crossing keys with a crossing.
-    allowing = _ALLOWING if key == SENSORS.key else {**_ALLOWING, **_ALLOWING_GNSS}
+    allowing = {**_ALLOWING, **(_allowing_camera(value) if key == SENSORS.key else _ALLOWING_GNSS)}
     scenario = scenario_from_human({**(place or {}), **allowing, key: value})
     # A period into which all others divide.
     if scenario.duration_ns * math.lcm(*CONTROL_RATES_HZ) % NS_PER_S:
         last_step(scenario)
+
+
+def _allowing_camera(sensors: Any) -> dict[str, Any]:
+    """A control rate of which the rate of the second camera is a divisor, if there is one."""
+    second = find_sensors(SENSORS.from_human(sensors)).camera
+    if second is None:
+        return {}
+    rates_hz = [rate_hz for rate_hz in CONTROL_RATES_HZ if rate_hz % second.rate_hz == 0]
+    return {CONTROL_RATE.key: rates_hz[0]} if rates_hz else {}
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

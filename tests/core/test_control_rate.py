@@ -16,7 +16,7 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.assurance.switch import Alarm, make_controller
 from taxinet_ros.core.control_step import last_step, signals
-from taxinet_ros.core.faults import check_free
+from taxinet_ros.core.faults import begun, check_free, shown_step
 from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.motion.aircraft import PHYSICS_HZ
 from taxinet_ros.core.motion.controller import SteeringGains
@@ -25,7 +25,11 @@ from taxinet_ros.core.pacing.timing import AT_ONCE
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.perception.substituted import parse_substitution, substituted
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import CONTROL_RATES_HZ
+from taxinet_ros.core.scenario_fields import CONSTANT, CONTROL_RATES_HZ
+from taxinet_ros.core.sensing import Schedule
+from taxinet_ros.core.sensors import load_sensors
+from taxinet_ros.core.signals import Signal
+from taxinet_ros.core.traffic.traffic import GroundObject, Size
 from taxinet_ros.core.types import (
     NS_PER_S,
     TaxiCommand,
@@ -112,6 +116,34 @@ def test_given_a_period_that_is_not_whole_then_a_delay_of_whole_ones_is_whole_st
     told = [TaxiCommand(steering_rad=0.0, speed_mps=seq + 1.0) for seq in range(900)]
     obeyed = [late.at(seq, command).speed_mps for seq, command in enumerate(told)]
     assert obeyed == [scenario.speed_mps] * 3 + [seq + 1.0 for seq in range(897)]
+
+
+@pytest.mark.parametrize('rate_hz', CONTROL_RATES_HZ)
+def test_given_times_that_are_those_of_steps_then_they_have_come_at_these_steps(rate_hz):
+    for count in range(1, 13):
+        time_s = count / rate_hz
+        late = scene(rate_hz, loop_delay_s=time_s)
+        period_ns, told = late.period_ns, [TaxiCommand(steering_rad=0.0, speed_mps=seq + 1.0)
+                                           for seq in range(60)]
+        commands = LateCommands(AT_ONCE, 0, 0, late)
+        obeyed = [commands.at(seq, command).speed_mps for seq, command in enumerate(told)]
+        assert obeyed == [late.speed_mps] * count + [seq + 1.0 for seq in range(60 - count)]
+        frozen = scene(rate_hz, camera_freeze_s=time_s, fault_onset_s=time_s)
+        assert [seq for seq in range(60) if shown_step(frozen, seq, period_ns) != seq] == [
+            *range(count + 1, 2 * count + 1)]
+        assert [begun(frozen, step_stamp_ns(seq, period_ns)) for seq in range(60)] == [
+            seq >= count for seq in range(60)]
+        jump = Signal(times_ns=(round(time_s * 1e9),), values=(1,), form=CONSTANT)
+        line = GroundObject(kind='hold_line', x_m=0.0, y_m=0.0, heading_deg=0.0,
+                            size=Size(2.1, 22.0, 0.0), colour='yellow', until_s=time_s)
+        for seq in range(60):
+            stamp_ns = step_stamp_ns(seq, period_ns)
+            assert jump.at(0, stamp_ns) == (stamp_ns >= line.until_ns) == (seq >= count)
+        sensed = scene(rate_hz, sensors=load_sensors({
+            'wheel': {'rate_hz': rate_hz, 'delay_s': time_s}}))
+        due = Schedule(sensed, period_ns)
+        assert [[number for _, number in due.due(seq)] for seq in range(40)] == [
+            [seq - count] if seq >= count else [] for seq in range(40)]
 
 
 @pytest.mark.parametrize('rate_hz', [5, 20, 40, 30, 60])

@@ -18,7 +18,11 @@ from taxinet_ros.core.sensors import load_sensors
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import SimulatedWorld, _PluginWorld, _SeenWorld
 from taxinet_ros.errors import UsageError
+from taxinet_ros.recordings.reader import Recording
+from taxinet_ros.recordings.score import ScoreOptions, make_setup
+from taxinet_ros.recordings.truth import TruthSource
 from taxinet_ros.registry import WORLDS, Extension
+from taxinet_ros.scenes.overrides import apply_overrides, check_overrides
 
 OTHERS = Extension(
     kind=WORLDS, name='others', target='others:Others', distribution='others', version='1',
@@ -143,3 +147,23 @@ def test_given_who_cannot_take_its_pictures_then_it_is_refused_by_name(tmp_path)
             make(scene(LATE))
     with pytest.raises(UsageError, match=r'others.* does not take the pictures of a second'):
         _PluginWorld(OTHERS, lambda scenario, pictures=True: None, scene(LATE))
+
+
+def test_given_a_second_camera_when_set_beside_its_control_rate_then_each_is_possible(tmp_path):
+    path = tmp_path / 'six.yaml'
+    path.write_text('camera: {mount: nose, rate_hz: 6}\n')
+    given = {'control_rate_hz': '30', 'sensors': str(path)}
+    check_overrides(given)
+    assert apply_overrides({}, given, 'mine').sensor_set.camera.rate_hz == 6
+    with pytest.raises(UsageError, match='not a divisor of control_rate_hz'):
+        apply_overrides({}, {'sensors': str(path)}, 'mine')
+
+
+def test_given_a_second_camera_when_its_pictures_are_scored_then_its_mounting_counts(tmp_path):
+    scenario = scene({'mount': {'base': 'wing', 'dyaw_deg': 8}, 'rate_hz': 5}, duration_s=0.4)
+    bag = tx.run(scenario, perception='truth').save_bag(tmp_path / 'ours')
+    for image, camera in (('', scenario.cameras[0]), ('/camera2/image_raw', scenario.cameras[1])):
+        options = ScoreOptions(
+            bags=(bag,), source=TruthSource(topic='/ground_truth/odom'), perception='original',
+            image=image)
+        assert make_setup(options, Recording(bag), scenario).rig.camera == camera

@@ -261,6 +261,10 @@ def test_given_the_seed_or_the_start_then_the_noise_is_another_and_else_the_same
         for more in ({}, {'gnss_noise_m': 3}, {'fault_seed': 1}, {'heading_deg': 5.1})
     )
     assert first == again
+    # A program that has no heading faces -0.0 degrees, and what is written of its run 0.0.
+    zeros = [all_of(driven(scene('standard', duration_s=2, heading_deg=zero)), 'wheel')
+             for zero in (0.0, -0.0)]
+    assert zeros[0] == zeros[1]
     for other in (seed, start):
         assert len(other) == 41
         assert not {one.speed_mps for one in other} & {one.speed_mps for one in first}

@@ -189,8 +189,8 @@ REFUSED = {
         'compiled twice, cross_track_m is '),
     'chance: library': (spot('library4.X', 'import library4'), 3, TWICE),
     'chance: an order of addresses': (
-        MODEL + 'import math\nown = {object(): number for number in range(99)}\n'
-        'ego = new Plane at (0, 9 * [own[one] for one in set(own)][0])\n', 4, TWICE),
+        MODEL + 'import math\nown = {object(): number for number in range(9999)}\n'
+        'ego = new Plane at (0, hash(tuple(own[one] for one in set(own))) % 1999)\n', 4, TWICE),
     'record beside a scenario': (
         PLANE + 'record ego.position\nscenario Main():\n    setup:\n        param duration = 5\n',
         3, 'record has no effect here'),

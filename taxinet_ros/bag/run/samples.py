@@ -226,7 +226,7 @@ def _of_run(
         unusable_estimates=int(getattr(verdict, 'unusable_estimates', 0)),
         trouble=trouble, there=there, timing=timing, period_ns=period_ns,
         note='' if clearance is None or clearance.may_violate(names) else (
-            'nobody is on the ground, so nothing could violate a formula about others'),
+            'nothing on the ground could violate a formula about others or hold lines'),
         flaws=_partial({
             topic: steps[topic] for topic in topics if topic not in answers
         }, period_ns)

@@ -23,7 +23,7 @@ from typing import Generic, Self, TypeVar
 
 import numpy as np
 
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import reached_ns
 from taxinet_ros.errors import UsageError
 
 LATE_NODES = ('perception', 'controller')
@@ -148,7 +148,7 @@ class Timing:
             for name, law in self.laws
         ]
         while True:
-            yield round(NS_PER_S * math.fsum(
+            yield reached_ns(math.fsum(
                 law.latency_s(stream.random() if law.drawn else 0.0) for law, stream in streams
             ))
 

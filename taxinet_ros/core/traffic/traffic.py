@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from taxinet_ros.core.documents import NamedDocument, canonical
+from taxinet_ros.core.types import reached_ns
 
 HOLD_LINE = 'hold_line'
 """The kind that is not to be crossed until it is cleared."""
@@ -173,7 +174,7 @@ class GroundObject:
     @property
     def until_ns(self) -> float:
         """Simulated time from which it may be crossed [ns]."""
-        return self.until_s if math.isinf(self.until_s) else round(self.until_s * 1e9)
+        return self.until_s if math.isinf(self.until_s) else reached_ns(self.until_s)
 
     def pose_at(self, stamp_ns: int) -> Pose:
         """Where it is at a simulated time, less that for which it was held [ns]."""

@@ -256,7 +256,7 @@ def test_given_an_analysis_when_written_then_files_are_there_and_its_own_are_rep
     findings, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(report_page, 'write_report_page',
-                        lambda report, path, on_progress: path.write_text('page'))
+                        lambda report, path, **_: path.write_text('page'))
     report = campaign_report(findings)
     rates, *_ = report.sections
     bare = dataclasses.replace(

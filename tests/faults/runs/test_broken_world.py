@@ -118,9 +118,9 @@ def test_given_a_picture_that_takes_longer_than_answers_may_then_nobody_is_blame
     tmp_path, monkeypatch
 ):
     """FlightGear may have to load terrain before it shows where it is put."""
-    def slow(camera: Camera, *args):
+    def slow(camera: Camera, *args, **more):
         time.sleep(1.5)
-        return RENDER(camera, *args)
+        return RENDER(camera, *args, **more)
 
     monkeypatch.setattr(Camera, 'render', at_call(STEP, RENDER, slow))
     options = GraphOptions(perception='truth', out=tmp_path, timeouts={'answer_timeout': 1.0})
