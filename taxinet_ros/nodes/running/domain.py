@@ -270,9 +270,11 @@ def _set(name: str, value: str) -> Iterator[None]:
 
 End = tuple[int, ...]
 """Unique identifier (GID) of a publisher or subscription, never reused."""
-# A perception or a recorder chooses its inputs at start-up.
+# A perception or a recorder chooses its inputs at start-up, and hears a second camera only in runs
+# that have one.
 _CHOSEN = {
     interface.IMAGE.name: {PERCEPTION, RECORDER}, interface.TRUTH.name: {PERCEPTION},
+    interface.CAMERA2.name: {RECORDER},
 }
 
 
