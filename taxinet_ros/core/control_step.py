@@ -7,7 +7,7 @@ make them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,13 @@ class Observation:
     track: Track | None = None
     measured: Measured | None = None
     held: Holds = field(default_factory=dict)
+
+    @property
+    def without_second_camera(self) -> Observation:
+        """The same without what its sensors' camera has seen."""
+        if self.measured is None or not self.measured.camera:
+            return self
+        return replace(self, measured=replace(self.measured, camera=()))
 
     @property
     def on_track(self) -> OnTrack:

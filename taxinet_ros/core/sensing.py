@@ -42,6 +42,7 @@ from taxinet_ros.core.types import (
     NS_PER_S,
     AircraftState,
     quaternion,
+    rate_of,
     reached_ns,
     step_stamp_ns,
     steps_in,
@@ -72,7 +73,7 @@ class Schedule:
     @property
     def fast(self) -> list[Sensor]:
         """Sensors that need states between control steps."""
-        return [one for one in self.sensors.present if NS_PER_S // self.period_ns % one.rate_hz]
+        return [one for one in self.sensors.present if rate_of(self.period_ns) % one.rate_hz]
 
     def due(self, seq: int) -> Iterator[tuple[Sensor, int]]:
         """Sensor and number of each measurement that arrives at a step, in order."""
@@ -373,5 +374,5 @@ def check_rates(scenario: Scenario, period_ns: int, who: str) -> None:
     for sensor in Schedule(scenario, period_ns).fast:
         raise UsageError(
             f'sensors: {sensor.name}.rate_hz is {sensor.rate_hz}, but {who} gives its state '
-            f'{NS_PER_S // period_ns} times a second; take a divisor of that'
+            f'{rate_of(period_ns)} times a second; take a divisor of that'
         )

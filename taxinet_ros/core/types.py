@@ -39,6 +39,11 @@ _ROUNDING = 1e-9
 """Relative asymmetry, or negative eigenvalue, that is rounding in the filter that computed it."""
 
 
+def rate_of(period_ns: int) -> int:
+    """Rate [Hz] of a period, which is 10⁹ / rate rounded down [ns]."""
+    return NS_PER_S // period_ns
+
+
 def step_stamp_ns(seq: int, period_ns: int) -> int:
     """Simulated time of a control step [ns], exact at whole seconds.
 
@@ -49,12 +54,12 @@ def step_stamp_ns(seq: int, period_ns: int) -> int:
         seq: control step.
         period_ns: control period, 10⁹ / rate rounded down [ns].
     """
-    return seq * period_ns + seq * (NS_PER_S % period_ns) // (NS_PER_S // period_ns)
+    return seq * period_ns + seq * (NS_PER_S % period_ns) // rate_of(period_ns)
 
 
 def steps_in(time_ns: int, period_ns: int) -> int:
     """Number of control periods [ns] in a time, rounded up: the first step that is not before."""
-    return -(-time_ns * (NS_PER_S // period_ns) // NS_PER_S)
+    return -(-time_ns * rate_of(period_ns) // NS_PER_S)
 
 
 def reached_ns(time_s: float) -> int:

@@ -131,8 +131,7 @@ class SimulatedWorld(World):
         self._seq = 0
         self._track = scenario.line
         self._motion = TrafficMotion(scenario.others, self._period_ns)
-        self._held = self._hold()
-        self._shown = self._aircraft.state, 0, self._held
+        self._arrive()
         self._sensing = sensing_of(scenario, self._period_ns, self._aircraft.state)
         self._aircraft.traced = self._sensing is not None and self._sensing.fast
 
@@ -159,22 +158,21 @@ class SimulatedWorld(World):
         self._scenario = scenario
         if self._sensing is not None:
             self._sensing.change(scenario)
-        self._held = self._hold()
         self.__dict__.pop('_camera', None)
         self._steering = SteeringFaults(
             scenario, self._aircraft.max_steering_rad, self._period_ns, wheel_rad
         )
-        if shown_step(scenario, self._seq, self._period_ns) == self._seq:
-            stamp_ns = step_stamp_ns(self._seq, self._period_ns)
-            self._shown = self._aircraft.state, stamp_ns, self._held
+        self._arrive()
 
-    def _hold(self) -> Holds:
-        """Which others the aircraft holds where it is at the current step."""
-        at = self._aircraft.state
-        held = self._motion.step(step_stamp_ns(self._seq, self._period_ns), at.x_m, at.y_m)
+    def _arrive(self) -> None:
+        """See where the aircraft is at the current step: what it holds, what the camera shows."""
+        at, stamp_ns = self._aircraft.state, step_stamp_ns(self._seq, self._period_ns)
+        held = self._motion.step(stamp_ns, at.x_m, at.y_m)
         if held is None:
             raise InfraError(InfraKind.SIM, 'simulator', self._seq, f'the aircraft is at {at}')
-        return held
+        self._held: Holds = held
+        if shown_step(self._scenario, self._seq, self._period_ns) == self._seq:
+            self._shown = at, stamp_ns, held
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Observe the current step; ``picture`` False skips rendering."""
@@ -197,13 +195,10 @@ class SimulatedWorld(World):
         before = self._aircraft.state
         self._aircraft.advance(self._steering.apply(command, stamp_ns))
         self._seq += 1
-        self._held = self._hold()
+        self._arrive()
         if self._sensing is not None:
             now = self._aircraft
             self._sensing.advance(now.states if now.traced else [before, now.state], self._held)
-        if shown_step(self._scenario, self._seq, self._period_ns) == self._seq:
-            end_ns = step_stamp_ns(self._seq, self._period_ns)
-            self._shown = self._aircraft.state, end_ns, self._held
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

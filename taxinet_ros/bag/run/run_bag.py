@@ -341,9 +341,8 @@ class RunBag(BegunBag):
     ) -> None:
         """Write a step's messages in the recorder's order, that of the topic table."""
         seen = now if now.image is picture else dataclasses.replace(now, image=picture)
-        if not self._filmed and seen.measured is not None and seen.measured.camera:
-            seen = dataclasses.replace(
-                seen, measured=dataclasses.replace(seen.measured, camera=()))
+        if not self._filmed:
+            seen = seen.without_second_camera
         observed = observation_messages(seen, self._run_id, self._cameras[0])
         moved = topics.TF, aircraft_transform(now.state, now.stamp_ns)
         # By name, as hashing a topic takes as long as serialising its message.

@@ -135,9 +135,9 @@ def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
 
 def _film(recording: Recording, out: Path, kind: str) -> int:
     from taxinet_ros.analysis.one_run.film import ACCENTS, film_frames, write_gif, write_mp4
-    from taxinet_ros.core.types import NS_PER_S
+    from taxinet_ros.core.types import rate_of
 
-    frames, rate_hz = film_frames(recording), NS_PER_S // recording.period_ns
+    frames, rate_hz = film_frames(recording), rate_of(recording.period_ns)
     count = write_mp4(frames, out, rate_hz) if kind == 'mp4' else (
         write_gif(frames, out, rate_hz, ACCENTS))
     print(f'film: {out} ({count} frames)')

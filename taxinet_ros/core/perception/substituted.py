@@ -32,7 +32,7 @@ from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception.perception import GroundTruth, Perception
 from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.sensors import Measured
-from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError
+from taxinet_ros.core.types import NO_ESTIMATE, NS_PER_S, TrackingError, rate_of
 from taxinet_ros.errors import UsageError
 
 AS_RECORDED, TRUTH, TRUTH_HEADING, TRUTH_CTE = (
@@ -125,7 +125,7 @@ def substituted(
     Raises:
         UsageError: a delay is not a whole number of control steps.
     """
-    period_s = 1 / (NS_PER_S // period_ns)
+    period_s = 1 / rate_of(period_ns)
     kind, amount = substitution.kind, substitution.amount
     if kind == AS_RECORDED:
         return network

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -239,13 +238,12 @@ class ActiveRun(LiveGraph):
 
     def publish(self, frame: Observation) -> None:
         """Publish a frame with its transforms; the second camera's if somebody looks."""
-        seen = frame.measured.camera if frame.measured is not None else ()
-        if seen and frame.measured is not None and not any(
+        seen = () if frame.measured is None else frame.measured.camera
+        if seen and not any(
             self._node.ends.speakers[topic.name].get_subscription_count()
             for topic in (interface.CAMERA2, interface.CAMERA2_INFO)
         ):
-            measured = dataclasses.replace(frame.measured, camera=())
-            frame, seen = dataclasses.replace(frame, measured=measured), ()
+            frame, seen = frame.without_second_camera, ()
         for picture in seen:
             self._node.say(interface.CAMERA2_INFO, camera_info_cdr(
                 picture.stamp_ns, self.scenario.cameras[1], CAMERA2_FRAME))

@@ -23,7 +23,7 @@ from taxinet_ros.core.perception.substituted import (
     parse_substitution,
 )
 from taxinet_ros.core.system import System, digest_of
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import rate_of
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT
@@ -98,7 +98,7 @@ def make_localize_options(
         raise UsageError(f'runs {runs}: needs to be 1 or more')
     found = open_failed_campaign(campaign)
     rows = spread_evenly(found.counterexamples, runs)
-    periods_s = {1 / (NS_PER_S // row.period_ns) for row in rows}
+    periods_s = {1 / rate_of(row.period_ns) for row in rows}
     chosen = [parse_substitution(word, periods_s).word for word in words] or DEFAULT_WORDS
     system = system_of(found)
     if why := system.not_again:  # which reports a missing or changed package, too

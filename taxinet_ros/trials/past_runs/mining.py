@@ -16,7 +16,7 @@ from typing import NamedTuple
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl.mine import Parameter, Template
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, rate_of
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.past_runs.recorded_campaign import RecordedCampaign, check_same_run
 from taxinet_ros.trials.rates import TAIL, anytime_bounds, share_bounds, without_gaps
@@ -47,7 +47,7 @@ class Mined:
 
 def step_ns(campaign: RecordedCampaign) -> int:
     """Time of which the control period of each run is a multiple [ns]."""
-    return NS_PER_S // math.lcm(*(NS_PER_S // row.period_ns for row in campaign.rows))
+    return NS_PER_S // math.lcm(*(rate_of(row.period_ns) for row in campaign.rows))
 
 
 def program_traces(
