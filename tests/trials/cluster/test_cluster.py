@@ -250,6 +250,18 @@ def test_given_workers_that_would_make_other_runs_then_they_are_named_and_get_no
     check_whole(tmp_path / 'there', here(sampler='halton'))
 
 
+def test_given_a_client_that_asks_the_scheduler_by_itself_then_no_worker_seems_to_have_left(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(pool, '_LOOK_S', 0.0)
+    campaign = options(tmp_path / 'there', cluster='local:2').campaign
+    often = {'distributed.client.scheduler-info-interval': '1ms'}
+    with dask.config.set(often), campaign_cluster(campaign, 'local:2') as cluster:
+        for _ in range(300):
+            assert cluster.answers(0.0) == []
+            assert cluster.threads == 2
+
+
 def test_given_weights_that_change_on_a_worker_then_it_gets_no_more_runs(
     processes, tmp_path, monkeypatch
 ):
