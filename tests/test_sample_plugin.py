@@ -93,6 +93,7 @@ def test_given_the_sample_when_its_names_are_given_then_a_run_is_made_and_says_w
     assert re.fullmatch(r'\S+: \d+\.\d deg\n', turned.stdout)
 
 
+@pytest.mark.nightly
 def test_given_the_sample_when_its_sampler_is_named_then_it_chooses_the_runs(
     site: Path, tmp_path: Path
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from taxinet_ros.testing import (
 LEARNERS = {'bo': {'startup': 5}, 'tpe': {'startup': 5}, 'ce': {'every': 10}}
 
 
-def named(names: Sequence[str], *fast: str) -> list[Any]:
+def named(names: Iterable[str], *fast: str) -> list[Any]:
     """All names; the contracts of those that are not named are checked at night."""
     return [
         name if name in fast else pytest.param(name, marks=pytest.mark.nightly) for name in names
@@ -73,7 +73,7 @@ PERCEPTIONS = {
 }
 
 
-@pytest.mark.parametrize('case', PERCEPTIONS)
+@pytest.mark.parametrize('case', named(PERCEPTIONS, 'degrees', 'hash order', 'failure'))
 def test_given_a_wrong_perception_when_checked_then_it_is_told_how(
     case: str, tmp_path: Path
 ) -> None:
@@ -91,7 +91,7 @@ SAYS_THAT_IT_CANNOT_TELL = {
 }
 
 
-@pytest.mark.parametrize('case', SAYS_THAT_IT_CANNOT_TELL)
+@pytest.mark.parametrize('case', named(SAYS_THAT_IT_CANNOT_TELL, 'None'))
 def test_given_a_perception_that_says_so_where_it_cannot_tell_when_checked_then_it_passes(
     case: str, tmp_path: Path
 ) -> None:
@@ -135,7 +135,7 @@ CONTROLLERS = {
 }
 
 
-@pytest.mark.parametrize('case', CONTROLLERS)
+@pytest.mark.parametrize('case', named(CONTROLLERS, 'degrees', 'passes NaN on', 'signs swapped'))
 def test_given_a_wrong_controller_when_checked_then_it_is_told_how(
     case: str, tmp_path: Path
 ) -> None:

@@ -23,6 +23,7 @@ def search(out, **asked):
         )
 
 
+@pytest.mark.nightly
 @pytest.mark.ros
 def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
     from taxinet_ros.nodes.graph.runner import campaign_graph

@@ -32,6 +32,7 @@ def test_given_a_campaign_then_its_rates_are_those_of_its_program(campaign_folde
         failed.rate.low, failed.rate.rate, failed.rate.high)
 
 
+@pytest.mark.nightly
 def test_given_a_campaign_in_a_notebook_then_it_is_short_and_draws_itself(campaign_folder):
     campaign = tx.open_campaign(campaign_folder)
     assert repr(campaign).endswith(': 3 runs, 1 failed>')

@@ -65,6 +65,7 @@ SHY = dataclasses.replace(CALM, traffic=tx.load_traffic([
 ]))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('at_s', [0.0, 1.7, 3.0])
 def test_given_others_that_react_then_they_go_on_as_they_were_in_a_fork(at_s):
     run = tx.run(SHY, perception='taxinet', specs='no_collision')

@@ -57,6 +57,7 @@ def test_given_the_import_alone_then_nothing_else_is_loaded():
     assert set(after) - set(before) == {'taxinet_ros', 'taxinet_ros.instructions'}
 
 
+@pytest.mark.nightly
 def test_given_ros_cannot_be_imported_then_every_name_is_there_and_a_run_is_made():
     out = python(WITHOUT_ROS + """
 import taxinet_ros as tx

@@ -97,8 +97,10 @@ def test_given_a_saved_run_when_opened_then_it_is_the_run(run, tmp_path):
 
 
 @pytest.mark.parametrize('command', [
-    ['bag', 'info'], ['doctor'], ['bag', 'split', '--out', 'parts'],
-    ['monitor', '--spec', 'phi_always'],
+    ['doctor'], ['monitor', '--spec', 'phi_always'], *(
+        pytest.param(command, marks=pytest.mark.nightly)
+        for command in (['bag', 'info'], ['bag', 'split', '--out', 'parts'])
+    ),
 ])
 def test_given_a_saved_run_then_the_commands_read_it(command, run, tmp_path):
     bag = run.save_bag(tmp_path / 'a-run')
@@ -185,7 +187,9 @@ print(recording.judge('phi_always').interval.lower)
 
 
 @pytest.mark.parametrize('reaction', [
-    {}, {'stands_within_m': 23}, {'starts_within_m': 29, 'stands_within_m': 21},
+    pytest.param({}, marks=pytest.mark.nightly),
+    pytest.param({'stands_within_m': 23}, marks=pytest.mark.nightly),
+    {'starts_within_m': 29, 'stands_within_m': 21},
 ])
 def test_given_others_on_the_ground_when_saved_then_the_bag_alone_shows_and_judges_them(
     reaction, tmp_path

@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import pytest
+
 import taxinet_ros as tx
 from taxinet_ros.trials.past_runs.recorded_campaign import find_run
 
@@ -20,6 +22,7 @@ param 'wind_speed_mps@8' = Range(0, 20)
 ASKED = {'perception': 'truth', 'specs': SPEC, 'progress': False}
 
 
+@pytest.mark.nightly
 def test_given_a_lull_when_searched_then_it_fails_where_no_constant_wind_does(tmp_path):
     found = {}
     for name, text in (('constant', CONSTANT), ('lull', LULL)):

@@ -41,6 +41,7 @@ def report(scratch: Path) -> Iterator[dict[str, Any]]:
     assert tempfile.tempdir == folder
 
 
+@pytest.mark.nightly
 def test_given_the_graph_when_measured_then_each_way_has_a_figure_beside_the_loop(
     report, scratch: Path
 ) -> None:

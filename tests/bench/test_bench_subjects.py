@@ -26,6 +26,7 @@ def figures(*words: str, repeats: int = 3) -> dict[str, dict[str, float]]:
     return run_subjects(words, repeats, lambda done, total: None)['figures']
 
 
+@pytest.mark.nightly
 def test_given_the_camera_when_measured_then_every_scene_has_its_stages_and_their_sum() -> None:
     found = figures('camera', repeats=2)
 

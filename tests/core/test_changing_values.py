@@ -215,10 +215,12 @@ def test_given_signals_that_stay_then_the_run_is_that_of_the_values_to_the_bit()
 
 @pytest.mark.parametrize(('start', 'key', 'value'), [
     ({}, 'steering_bias_deg', 3.0),
-    ({'wind_speed_mps': 3.0}, 'wind_speed_mps', 14.0),
     ({'wind_speed_mps': 9.0}, 'wind_direction_deg', 90.0),
-    ({}, 'runway_state', 'icy'),
-    ({}, 'exposure_jump_ev', 2.0),
+    *(pytest.param(*case, marks=pytest.mark.nightly) for case in [
+        ({'wind_speed_mps': 3.0}, 'wind_speed_mps', 14.0),
+        ({}, 'runway_state', 'icy'),
+        ({}, 'exposure_jump_ev', 2.0),
+    ]),
 ])
 def test_given_a_step_then_the_run_is_that_of_a_fork_at_its_time_to_the_bit(start, key, value):
     scene = scenario_from_human({'cross_track': 2, 'heading': -15, 'duration': 3, **start})

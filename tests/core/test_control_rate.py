@@ -173,7 +173,10 @@ def test_given_gusts_then_they_are_drawn_in_physics_steps_and_hardly_depend_on_t
     assert 0 < max(off_m) < 0.05 * max(gusts_m)
 
 
-@pytest.mark.parametrize('rate_hz', CONTROL_RATES_HZ)
+@pytest.mark.parametrize('rate_hz', [
+    pytest.param(rate, marks=pytest.mark.nightly) if 5 < rate < 60 else rate
+    for rate in CONTROL_RATES_HZ
+])
 def test_given_the_steering_law_then_its_path_is_nearly_that_at_10_hz(rate_hz):
     usual, other = (
         tx.run(scene(hz, cross_track_m=3.0, heading_deg=5.0), perception='truth').trace

@@ -161,8 +161,12 @@ def test_given_a_run_when_saved_then_the_bag_alone_gives_the_same_ways_and_verdi
 
 
 @pytest.mark.parametrize('values', [
-    {}, {'runway_state': 'wet'}, {'aircraft': 'c172p'}, {'control_rate_hz': 20.0},
-    {'speed_mps': 8.0, 'distance_m': 380.0},
+    {}, {'control_rate_hz': 20.0}, *(
+        pytest.param(values, marks=pytest.mark.nightly) for values in (
+            {'runway_state': 'wet'}, {'aircraft': 'c172p'},
+            {'speed_mps': 8.0, 'distance_m': 380.0},
+        )
+    ),
 ], ids=str)
 def test_given_a_line_then_it_stops_at_the_margin_stands_and_goes_on_when_cleared(values):
     run = driven(line(470, until_s=30.0), **values)

@@ -178,6 +178,7 @@ def test_damage_is_refused_or_harmless(tmp_path: Path, whole: bytes) -> None:
     assert refused > 350
 
 
+@pytest.mark.nightly
 def test_a_repaired_record_has_true_entries_only_and_says_that_some_are_lost(
     tmp_path: Path, whole: bytes
 ) -> None:

@@ -117,6 +117,7 @@ def test_given_topics_of_numbers_then_they_are_proposed_with_the_form_of_their_w
         '/array': 'perception /array:FIELD=m,FIELD=rad', '/time': ''}
 
 
+@pytest.mark.nightly
 def test_given_late_pictures_then_recorded_estimates_tell_their_latency(scored):
     late = Drive(late_s=0.25, noise_m=0.1, more=heard(
         OURS, ours, noise=LITTLE, stamp=lambda ns: ns + 250_000_000))
@@ -138,7 +139,9 @@ def test_given_a_short_drive_then_the_line_says_that_it_is_the_path_and_what_wou
 
 
 @pytest.mark.parametrize(('kind', 'message', 'word', 'late_ns', 'more'), [
-    (OURS, ours, '/seen', 0, {'by_log': True, 'keep': images}),
+    pytest.param(
+        OURS, ours, '/seen', 0, {'by_log': True, 'keep': images}, marks=pytest.mark.nightly,
+    ),
     (OURS, ours, '/seen', LATE_NS, {'image': 'none'}),
     (ARRAY, lambda ns, cte, he: array(cte, he), '/seen:data.0=m,data.1=rad', 0, {
         'by_log': True, 'image': 'none'}),

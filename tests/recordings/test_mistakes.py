@@ -66,7 +66,13 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize(('drive', 'more', 'line'), MISTAKES.values(), ids=MISTAKES)
+OFTEN = 'a time zone', 'mirrored pictures', 'a sign', 'degrees', 'the other direction'
+
+
+@pytest.mark.parametrize(('drive', 'more', 'line'), [
+    pytest.param(*case, id=name, marks=[] if name in OFTEN else pytest.mark.nightly)
+    for name, case in MISTAKES.items()
+])
 def test_given_a_mistake_then_a_line_names_it(scored, drive, more, line):
     try:
         lines = scored(drive, **more).notes

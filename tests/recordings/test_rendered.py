@@ -30,6 +30,7 @@ def test_given_a_metar_without_clouds_then_it_is_refused():
         metar_weather('KMWH 201855Z 05006KT')
 
 
+@pytest.mark.nightly
 def test_given_a_run_of_ours_then_rendered_frames_are_like_the_recorded_and_a_run_starts_there(
     taxinet, tmp_path
 ):

@@ -41,12 +41,14 @@ def errors(found, network=0):
 
 
 @pytest.mark.parametrize(('encoding', 'more'), [
-    ('rgb8', {}),
     ('bgr8', {'compression': CompressionMode.MESSAGE}),
     ('png', {'storage': StoragePlugin.SQLITE3}),
-    ('rgb8', {'storage': StoragePlugin.SQLITE3, 'compression': CompressionMode.FILE}),
-    ('bgr8', {'compression': CompressionMode.FILE}),
-], ids=['mcap', 'by message', 'sqlite3', 'sqlite3 by file', 'mcap by file'])
+    *(pytest.param(*case, marks=pytest.mark.nightly) for case in [
+        ('rgb8', {}),
+        ('rgb8', {'storage': StoragePlugin.SQLITE3, 'compression': CompressionMode.FILE}),
+        ('bgr8', {'compression': CompressionMode.FILE}),
+    ]),
+], ids=['by message', 'sqlite3', 'mcap', 'sqlite3 by file', 'mcap by file'])
 def test_given_any_storage_and_encoding_then_the_errors_are_those_of_the_network(
     scored, encoding, more
 ):
@@ -94,6 +96,7 @@ def test_given_clocks_that_differ_by_seconds_then_no_range_of_latencies_is_named
     assert found.latency.why == BEYOND
 
 
+@pytest.mark.nightly
 def test_given_an_antenna_beside_then_its_offset_turns_heading_into_cross_track(scored):
     drive = Drive(antenna_m=(3.0, -1.0))
     found = scored(drive)
@@ -104,6 +107,7 @@ def test_given_an_antenna_beside_then_its_offset_turns_heading_into_cross_track(
     assert len(y) == len(found.table)
 
 
+@pytest.mark.nightly
 def test_given_other_sources_of_truth_then_they_tell_the_same(scored):
     for drive, source in (
         (Drive(seconds=20, truth='odometry'), {
@@ -249,6 +253,7 @@ def test_given_a_drive_then_its_table_has_one_row_a_frame_and_slices_add_up(scor
     assert pixels_of(0, 0, (2, 2)).shape == (2, 2, 3)
 
 
+@pytest.mark.nightly
 def test_given_frames_of_our_size_then_two_hundred_a_second_are_scored_on_one_core(tmp_path):
     bag = record(tmp_path / 'drive', Drive(seconds=20, size=(200, 360)))
     options = ScoreOptions(

@@ -123,6 +123,7 @@ def wet_failures(point: Point) -> float:
     return 1.0 if rain is None else 0.75 - rain
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('name', 'options', 'least'), [
     ('ce', {}, 0.45), ('mab', {}, 0.45),
     ('ce', {**RULE, 'alpha': 0.995}, 0.25),  # lest weights be too uneven to tell

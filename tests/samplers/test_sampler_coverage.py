@@ -28,6 +28,7 @@ def runs_to_cover(space, strength: int, cells: int, seed: int, most: int = 400) 
     raise AssertionError(f'not covered after {most} runs')
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ('sizes', 'strength', 'least', 'most'),
     # least: the product of the largest sides, which no covering array can undercut; most: less

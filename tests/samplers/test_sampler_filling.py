@@ -58,7 +58,9 @@ def largest_gap(asked: list[tuple[Point, float]]) -> float:
 @pytest.mark.parametrize(
     ('name', 'measure'), [('halton', discrepancy), ('sobol', discrepancy), ('grid', largest_gap)]
 )
-@pytest.mark.parametrize(('runs', 'dimensions'), [(64, 2), (256, 2), (256, 3)])
+@pytest.mark.parametrize(('runs', 'dimensions'), [
+    (64, 2), *(pytest.param(256, count, marks=pytest.mark.nightly) for count in (2, 3)),
+])
 def test_given_a_spread_sampler_when_compared_with_random_then_it_leaves_smaller_gaps(
     name: str, measure, runs: int, dimensions: int
 ) -> None:

@@ -123,9 +123,9 @@ def test_given_failures_when_the_bandit_searches_then_it_pulls_their_bin_most() 
 
 
 @pytest.mark.parametrize(('name', 'options'), [
-    ('ce', {}), ('mab', {}),
+    ('ce', {}), pytest.param('mab', {}, marks=pytest.mark.nightly),
     # A shorter memory makes weights so uneven that no number of them tells.
-    ('ce', {'rule': 'verifai', 'alpha': 0.995}),
+    pytest.param('ce', {'rule': 'verifai', 'alpha': 0.995}, marks=pytest.mark.nightly),
 ])
 def test_given_learned_histograms_when_weighted_then_the_prior_comes_out(
     name: str, options

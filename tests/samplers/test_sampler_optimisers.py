@@ -38,8 +38,9 @@ def lowest(points: list[Point]) -> float:
     return min(map(bowl, points)) + 0.2
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('name', 'runs'), [
-    pytest.param('bo', 40, marks=pytest.mark.nightly), ('tpe', 100), ('cmaes', 200),
+    ('bo', 40), ('tpe', 100), ('cmaes', 200),
 ])
 def test_given_a_bowl_when_an_optimiser_searches_then_it_gets_lower_than_chance(
     name: str, runs: int

@@ -163,6 +163,7 @@ def test_given_the_network_of_all_the_world_when_measured_on_unseen_scenes_then_
     assert he_mae_deg <= 1.5
 
 
+@pytest.mark.nightly
 def test_given_the_original_when_measured_then_it_sees_well_in_its_world_and_badly_beyond(
     unseen: list[Scenario],
 ) -> None:

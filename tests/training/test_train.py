@@ -123,6 +123,7 @@ def test_given_portions_when_added_then_the_card_tells_and_the_validation_grows_
     assert load_model(out).card == card
 
 
+@pytest.mark.nightly
 def test_given_something_added_then_the_pictures_of_the_set_itself_stay_the_same(
     tmp_path: Path,
 ) -> None:
@@ -164,6 +165,7 @@ def test_given_weights_to_begin_from_then_training_goes_on_from_them(tmp_path: P
     assert np.abs(answers[1] - answers[0]).max() < np.abs(answers[2] - answers[0]).max() / 4
 
 
+@pytest.mark.nightly
 def test_given_a_training_after_which_a_network_errs_more_then_a_warning_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -50,7 +50,12 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    'moments', [[(IMAGES, 5)], [('epochs', 2)], [('epochs', 4)], [(IMAGES, 16), ('epochs', 1)]]
+    'moments', [
+        [('epochs', 2)], [('epochs', 4)], *(
+            pytest.param(moments, marks=pytest.mark.nightly)
+            for moments in ([(IMAGES, 5)], [(IMAGES, 16), ('epochs', 1)])
+        ),
+    ]
 )
 def test_an_interrupted_training_ends_with_the_same_weights_to_the_bit(
     moments: list[tuple[str, int]], undisturbed: Path, tmp_path: Path,
@@ -76,8 +81,9 @@ def test_an_interrupted_training_ends_with_the_same_weights_to_the_bit(
 
 
 @pytest.mark.parametrize(('last', 'overwrite'), [
-    ('.json', False), pytest.param('.json', True, marks=pytest.mark.nightly),
-    ('.safetensors', False), pytest.param('.png', False, marks=pytest.mark.nightly),
+    ('.json', False), *(pytest.param(*case, marks=pytest.mark.nightly) for case in [
+        ('.json', True), ('.safetensors', False), ('.png', False),
+    ]),
 ])
 def test_a_training_that_was_killed_while_its_result_was_written_is_resumed(
     last: str, overwrite: bool, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -146,6 +152,7 @@ def test_a_training_that_patience_has_ended_does_not_go_on(
     assert train(dataclasses.replace(asked, resume=True)).weights_sha256 == stopped.weights_sha256
 
 
+@pytest.mark.nightly
 def test_a_damaged_picture_is_rendered_again(
     undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -213,6 +220,7 @@ def test_a_changed_folder_of_pictures_is_refused(tmp_path: Path) -> None:
         train(dataclasses.replace(asked, resume=True))
 
 
+@pytest.mark.nightly
 def test_a_file_in_the_way_is_named_and_not_destroyed_by_overwrite(tmp_path: Path) -> None:
     picture = tmp_path / 'edny.png'
     picture.write_bytes(b'a place')

@@ -20,6 +20,7 @@ def graph(tmp_path_factory):
     assert graph.errors == ''
 
 
+@pytest.mark.nightly
 def test_given_a_standing_graph_then_it_says_where_and_how_to_have_it_run_scenes(graph):
     lines = graph.printed.splitlines()
     assert lines[0] == (

@@ -147,6 +147,7 @@ def test_given_a_filter_and_an_order_when_printed_then_every_chosen_row_is_on_pa
         assert now.column(1) == shown
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('width', [1400, 420])
 def test_given_columns_beyond_the_side_when_asked_for_then_they_come_into_view(
     browser: Any, page: Path, width: int,
@@ -277,6 +278,7 @@ def test_given_an_open_viewer_when_played_then_it_goes_on_until_paused(
         now.wait_until("Number(document.querySelector('#viewer-scrubber').value) < 60")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('colours', 'other'), [('light', 'dark'), ('dark', 'light')])
 def test_given_light_or_dark_when_changed_then_pictures_and_ground_change(
     browser: Any, page: Path, colours: str, other: str,

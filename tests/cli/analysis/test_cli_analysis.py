@@ -74,7 +74,9 @@ def exchange(experiment: Path) -> None:
 
 
 @pytest.mark.parametrize(('change', 'says'), [
-    (exchange, 'near: is arm far of its experiment'),
+    pytest.param(
+        exchange, 'near: is arm far of its experiment', marks=pytest.mark.nightly,
+    ),
     (lambda experiment: shutil.rmtree(experiment / 'far'), 'far: is an arm of the '),
     (lambda experiment: (experiment / 'far' / 'campaign.db').unlink(), 'far: is an arm of the '),
     (hidden, 'far/halton_time_of_day-s0-00000: is missing'),

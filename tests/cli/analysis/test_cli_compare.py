@@ -51,6 +51,7 @@ def trials(out: Path) -> tuple[int, bytes]:
     return len(read_record(path)['trial']), path.read_bytes()
 
 
+@pytest.mark.nightly
 def test_given_two_networks_and_a_program_then_both_drive_its_scenes_and_are_kept(
     tmp_path, taxinet
 ):

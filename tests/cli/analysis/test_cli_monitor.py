@@ -349,6 +349,7 @@ def test_ros10_given_a_bag_of_a_seeing_perception_then_usable_is_judged_and_noth
     assert judge_spec(blind, parse_spec('always(estimate_gap <= 500 ms)'))[0].interval.lower < 0
 
 
+@pytest.mark.nightly
 def test_given_several_processes_then_the_answers_are_the_same_and_in_order(campaign):
     bags = [campaign / name for name in read_table(campaign)['bag']][:4] * 4
     specs = [parse_spec(text) for text in ('phi_always', SOON)]

@@ -116,7 +116,8 @@ def test_given_a_plain_campaign_on_workers_then_rows_and_bags_are_those_of_one_a
     check_same(tmp_path / 'one', tmp_path / 'two')
 
 
-@pytest.mark.parametrize('command', ['run', pytest.param('falsify', marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize('command', ['run', 'falsify'])
 def test_given_a_perception_that_is_not_a_function_of_its_frame_then_an_audit_ends_the_campaign(
     command, tmp_path
 ):

@@ -182,6 +182,7 @@ def test_given_another_seed_when_resumed_then_it_is_refused_with_one_line(whole)
     assert done.stderr.count('\n') == 1
 
 
+@pytest.mark.nightly
 def test_given_quiet_and_an_early_stop_then_there_is_only_the_summary(tmp_path):
     done = falsify(
         '--quiet', '--spec', 'fast=always(speed >= 50)', '--until', 'failures=1',

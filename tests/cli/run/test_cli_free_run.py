@@ -38,6 +38,7 @@ def folder(tmp_path_factory) -> Path:
     return folder / 'f'
 
 
+@pytest.mark.nightly
 def test_r5_given_free_runs_then_rows_facts_and_bag_say_so(folder):
     table = read_table(folder)
     assert list(table['timing']) == [WORDS, WORDS]

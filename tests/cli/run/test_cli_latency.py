@@ -85,6 +85,7 @@ def test_r5_given_a_latency_that_cannot_be_then_one_line_says_so(tmp_path):
                      out=tmp_path / 'never', processes=False, latency=['camera=1'])
 
 
+@pytest.mark.nightly
 def test_r5_given_failures_with_latency_when_localized_then_the_control_fails_as_recorded(folder):
     done = taxinet('localize', 's', '--with', 'truth', '--out', 'whose', cwd=folder)
     assert done.returncode in (0, 1), done.stdout + done.stderr

@@ -76,7 +76,9 @@ def test_given_separate_processes_then_the_table_is_the_same_but_for_the_clock(t
     assert len(list((tmp_path / 'many' / 'logs').iterdir())) == 5
 
 
-@pytest.mark.parametrize('engine', ['graph', 'loop'])
+@pytest.mark.parametrize('engine', [
+    'graph', pytest.param('loop', marks=pytest.mark.nightly),
+])
 def test_given_a_perception_of_ones_own_that_crashes_then_each_run_says_so(engine, tmp_path):
     (tmp_path / 'eyes.py').write_text('import os\n\n\ndef look(image):\n    os._exit(1)\n')
     done = taxinet_apart(

@@ -92,6 +92,7 @@ def test_given_a_network_in_onnx_then_it_drives(mine):
     assert campaign.facts['perception'] == str(network)
 
 
+@pytest.mark.nightly
 @pytest.mark.ros
 def test_given_too_few_satisfied_then_they_are_named_with_the_command_that_repeats_one(mine):
     with pytest.raises(AssertionError) as failed:
@@ -108,6 +109,7 @@ def test_given_too_few_satisfied_then_they_are_named_with_the_command_that_repea
     assert (done.returncode, done.stdout.splitlines()[-1][:9]) == (0, 'the same:'), done.stderr
 
 
+@pytest.mark.nightly
 def test_given_runs_without_a_verdict_then_no_share_is_enough(mine):
     with pytest.raises(AssertionError, match=r'^0 of 2 scenes .*; 2 without a verdict') as failed:
         run(mine, controller='mine.py:fails', at_least=0.01)

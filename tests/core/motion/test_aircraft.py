@@ -67,9 +67,9 @@ def test_given_a_scenario_when_constructed_then_it_rolls_from_there(
     assert state.yaw_rate_radps == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('kind', 'x_m', 'off_mps'), [
-    pytest.param('caravan', 0.0, 0.1, marks=pytest.mark.nightly), ('caravan', 1000.0, 0.1),
-    pytest.param('caravan', 2000.0, 0.1, marks=pytest.mark.nightly),
+    ('caravan', 0.0, 0.1), ('caravan', 1000.0, 0.1), ('caravan', 2000.0, 0.1),
     ('c172p', 400.0, 0.3),
 ])
 def test_given_every_corner_when_taxiing_on_the_truth_then_phi_eventually_holds(

@@ -29,6 +29,7 @@ WITH_A = st.one_of(
 )
 
 
+@pytest.mark.nightly
 @given(formulas(2, atoms=WITH_A), st.integers(0, 2**32 - 1))
 @fuzz(300)
 def test_given_a_parameter_when_its_direction_is_read_off_then_robustness_goes_that_way(

@@ -66,7 +66,9 @@ def frame_of(rig: Rig, white: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize(('x_m', 'y_m'), [(9.0, 2.0), (9.0, -3.0), (14.0, 0.0), (25.0, -8.0)])
-@pytest.mark.parametrize('name', SCENES)
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=pytest.mark.nightly) if name == 'nose' else name for name in SCENES
+])
 def test_given_a_spot_on_the_ground_when_seen_from_any_rig_then_it_is_at_the_same_pixel(
     name: str, x_m: float, y_m: float
 ) -> None:

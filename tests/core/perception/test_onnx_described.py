@@ -61,12 +61,10 @@ def standardised(levels: Any) -> Any:
     return centred / np.maximum(levels.std((1, 2), keepdims=True), 1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('prepare', 'scaling', 'shape'), [
     (lambda levels: levels / 255, {'divide_by': 255}, ('N', 1, HEIGHT, WIDTH)),
-    pytest.param(
-        standardised, {'divide_by': 1, 'per_image': 'standardise'}, (1, HEIGHT, WIDTH, 1),
-        marks=pytest.mark.nightly,
-    ),
+    (standardised, {'divide_by': 1, 'per_image': 'standardise'}, (1, HEIGHT, WIDTH, 1)),
 ])
 def test_given_a_network_then_its_scaling_layout_outputs_units_and_signs_are_found(
     tmp_path: Path, pictures: Any, prepare: Any, scaling: dict[str, Any], shape: Any
@@ -100,6 +98,7 @@ def test_given_a_network_then_its_scaling_layout_outputs_units_and_signs_are_fou
     assert np.abs(errors).mean(axis=0)[1] < math.radians(6)
 
 
+@pytest.mark.nightly
 def test_given_a_network_that_answers_something_else_then_nothing_explains_it(
     tmp_path: Path, pictures: Any
 ) -> None:
@@ -114,13 +113,13 @@ def test_given_a_network_that_answers_something_else_then_nothing_explains_it(
     ((1, 1, 'H', 'W'), 'is no picture of one or three channels'),
 ])
 def test_given_an_input_that_is_no_picture_then_it_is_refused_in_one_line(
-    tmp_path: Path, pictures: Any, shape: Any, words: str
+    tmp_path: Path, shape: Any, words: str
 ) -> None:
-    scenes, small, truth = pictures
-    path = network(tmp_path, small[:50] / 255, truth[:50], shape)
+    scenes = draw_scenes('training_original', seed=5, images=2)
+    path = network(tmp_path, np.zeros((2, HEIGHT, WIDTH)) + 0.5, np.zeros((2, 2)), shape)
     with pytest.raises(UsageError) as refused:
-        find_ways(path, read_shapes(path), scenes[:2])
+        find_ways(path, read_shapes(path), scenes)
     assert words in str(refused.value)
     (tmp_path / 'net.onnx').write_bytes(b'no model')
     with pytest.raises(UsageError, match=r'net\.onnx: is no ONNX model'):
-        find_ways(path, read_shapes(path), scenes[:2])
+        find_ways(path, read_shapes(path), scenes)

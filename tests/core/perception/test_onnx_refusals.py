@@ -335,6 +335,7 @@ def looped() -> onnx.ModelProto:
 MULTIPLIED = constant(LARGE, *(Node('MatMul', [f'm{i}'] * 2, [f'm{i + 1}']) for i in range(60)))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('network', 'fragment'), [
     (constant(HUGE), 'net.onnx: needs more memory than allowed for a network, 2 GiB'),
     (MULTIPLIED, 'net.onnx: needs more than 2 s of processor time to be opened'),

@@ -33,7 +33,9 @@ def perception(request: pytest.FixtureRequest, tmp_path: Path) -> Perception:
     return make_perception(request.param)
 
 
-@pytest.mark.parametrize('make', [save_sample, save], ids=['weights', 'onnx'])
+@pytest.mark.parametrize('make', [
+    pytest.param(save_sample, marks=pytest.mark.nightly), save,
+], ids=['weights', 'onnx'])
 def test_given_a_network_in_a_file_when_checked_by_the_contract_kit_then_it_passes(
     make, tmp_path: Path
 ) -> None:

@@ -120,6 +120,7 @@ def test_given_no_condition_when_read_then_it_is_that_of_kmwh() -> None:
         changed(shoulder_m=50.0)
 
 
+@pytest.mark.nightly
 def test_given_a_paved_shoulder_when_rendered_then_it_is_dark_beyond_the_edge() -> None:
     def beside(place: Place) -> float:
         """Brightness of the ground 2 m beyond the right edge, 9 m ahead."""

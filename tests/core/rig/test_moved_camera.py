@@ -72,6 +72,7 @@ def test_a_camera_file_with_a_base_is_the_base_and_offsets_in_tables(tmp_path):
     assert overrides == {'camera': 'wing', 'camera_dz_m': '-0.1', 'camera_dpitch_deg': '2.0'}
 
 
+@pytest.mark.nightly
 def test_a_base_may_be_a_file_beside_the_file_and_travels_whole(tmp_path):
     own = {**json.loads(CAMERAS.find('nose').document), 'name': 'own'}
     file_of(tmp_path, own, 'own.yaml')

@@ -24,6 +24,7 @@ def test_given_a_claim_then_the_code_says_what_became_of_it(
     assert '\n' not in out.strip().splitlines()[-1]
 
 
+@pytest.mark.nightly
 def test_given_other_names_and_options_first_then_it_is_the_same(taxinet, tmp_path):
     planted(tmp_path / 'found', [PASS, FAIL])
     assert taxinet('evidence', 'write', 'found', '--out', 'one')[0] == 0

@@ -144,6 +144,7 @@ def test_given_campaigns_of_two_versions_that_are_added_up_then_a_limit_says_whi
     assert said == 'The runs were made on several machines or versions: taxinet_ros 0.1.0 | 0.2.0.'
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('other', [
     {'perception': 'taxinet'}, {'program_sha256': None}, {'gains': {'heading_gain': 1.0}},
     {'overrides': {'rain_percent': 0}}, {'timing': 'latency 0.1'}, {'stop_on': 'violated'},
@@ -249,6 +250,7 @@ def test_given_a_judged_monitor_then_its_figures_are_stated_cited_and_limited(tm
         collected(campaign, monitors=(folder, folder))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('name', 'old', 'new', 'words'), [
     ('trials.csv', b'0,without,True', b'0,without,False', 'is not the file recorded in assurance'),
     ('alarms.csv', b'11.0', b'11.1', 'is not the file recorded in assurance'),
@@ -271,6 +273,7 @@ def test_given_a_judgement_that_was_touched_then_it_is_refused_by_name(
     assert '\n' not in str(caught.value)
 
 
+@pytest.mark.nightly
 def test_given_a_judgement_of_another_network_or_monitor_then_it_is_refused(tmp_path):
     folder = judged_monitor(tmp_path / 'monitor')
     with pytest.raises(UsageError, match=r'monitor: is about network original .* no campaign'):
@@ -290,6 +293,7 @@ def test_given_a_judgement_of_another_network_or_monitor_then_it_is_refused(tmp_
                 collected(campaign, monitors=(folder,))
 
 
+@pytest.mark.nightly
 def test_given_campaigns_of_two_networks_then_the_monitor_is_that_of_one(tmp_path):
     content = collected(
         planted(tmp_path / 'a', [PASS], seed=1), planted(

@@ -107,6 +107,7 @@ class _Text(HTMLParser):
         self.words += [] if self._hidden else [data]
 
 
+@pytest.mark.nightly
 def test_given_the_page_then_it_refers_to_nothing_outside_and_claims_no_more_than_evidence(proven):
     found = _Text((proven / 'evidence.html').read_text(encoding='utf-8'))
     assert found.addresses == ['#limits']
@@ -161,6 +162,7 @@ def test_given_evidence_of_real_runs_when_verified_then_all_holds_and_runs_repea
     assert 'driven again: ' in other.different[0]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('name', sorted(NAMES))
 def test_given_a_damaged_or_missing_file_then_verification_names_it_with_code_2(tmp_path, name):
     out = made(tmp_path)
@@ -177,6 +179,7 @@ def test_given_a_damaged_or_missing_file_then_verification_names_it_with_code_2(
         assert any('more.txt: is not listed' in line for line in verified(out).damaged)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('change', 'words'), [
     (lambda v: v['systems'][0]['figures']['formulas'][0]['satisfied'].update(rate=0.99),
      r'figures\.formulas\[0\]\.satisfied\.rate: is 0\.99, of these inputs it is 0\.66'),
@@ -216,6 +219,7 @@ def test_given_a_moved_campaign_then_it_is_asked_for_and_found_by_its_hashes(tmp
         verified(out, moved=(tmp_path / 'nowhere',))
 
 
+@pytest.mark.nightly
 def test_given_an_odd_that_moved_then_it_is_asked_for_and_found_too(tmp_path):
     odd = tmp_path / 'odds' / 'two.yaml'
     odd.parent.mkdir()
@@ -231,6 +235,7 @@ def test_given_an_odd_that_moved_then_it_is_asked_for_and_found_too(tmp_path):
     assert not verified(out, moved=(moved,)).holds
 
 
+@pytest.mark.nightly
 def test_given_a_judged_monitor_then_the_page_shows_it_and_verify_finds_a_change(tmp_path):
     judged = judged_monitor(tmp_path / 'judged')
     out = made(tmp_path, monitor_table=judged)

@@ -84,6 +84,7 @@ def sample(**changes) -> Sample:
     })
 
 
+@pytest.mark.nightly
 def test_given_a_campaign_then_both_outcomes_are_in_it(forecast, others):
     assert forecast.model.calibration_runs == 20
     assert forecast.model.moments == 7

@@ -74,6 +74,7 @@ def test_given_a_run_that_breaks_then_its_candidate_cannot_win():
     assert race({0: [1.0, 1.0], 1: [0.5, 2.0]})[1] == 3, 'the second cannot win after its first'
 
 
+@pytest.mark.nightly
 def test_given_a_known_optimum_then_the_proposals_find_it():
     """The worst of two scenes is best at a gain of 2.0, whatever the seed."""
     near = 0

@@ -48,6 +48,7 @@ def deaf(sim: FakeXPlane) -> None:
     sim.set = lambda name, *more: None if 'tire_steer' in name else plain(name, *more)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('check', 'spoil', 'words'), [
     ('answer', lambda sim: sim.values.update({'sim/aircraft/view/acf_ui_name': b'Boeing'}),
      "the aircraft is 'Boeing'"),

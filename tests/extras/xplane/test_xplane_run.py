@@ -198,6 +198,7 @@ def test_frames_are_counted_while_paused_though_no_time_grows(sim):
     assert made.render(state, 0).shape == SCENE.camera_model.shape
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('spoil', 'words'), [
     (lambda sim: setattr(sim, 'frozen_screen', True),
      'timeout: x-plane: its picture stayed the same'),
@@ -245,6 +246,7 @@ def test_datarefs_that_cannot_be_written(sim, name, words):
         camera(sim, with_datarefs(**{name: 1.0}))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('size', [(1280, 720), (400, 400)])
 def test_a_camera_s_picture_out_of_a_window_s(size):
     """A pinhole camera looks at a coloured sphere: each pixel has the colour of its direction."""

@@ -216,7 +216,9 @@ def steer(estimate, sensors):
 """
 
 
-@pytest.mark.parametrize('images', ['none', 'failures', 'all'])
+@pytest.mark.parametrize('images', [
+    'none', *(pytest.param(word, marks=pytest.mark.nightly) for word in ('failures', 'all')),
+])
 def test_given_a_second_camera_then_every_byte_is_the_same(images, tmp_path):
     (tmp_path / 'mine.py').write_text(LOOKING)
     (tmp_path / 'mine.yaml').write_text(

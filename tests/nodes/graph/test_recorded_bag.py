@@ -95,6 +95,7 @@ def test_given_a_disk_that_fills_up_then_that_run_is_a_broken_bag_and_the_next_i
     assert (words['perception'], words['outcome'], words['steps']) == ('truth', 'PASS', '11')
 
 
+@pytest.mark.nightly
 def test_given_a_recorder_killed_in_a_graph_of_processes_then_whole_steps_stay(tmp_path):
     with process_graph(GraphOptions(perception='truth', out=tmp_path), tmp_path / 'logs') as graph:
         victim = next(child for child in graph.children if child.name == interface.RECORDER)

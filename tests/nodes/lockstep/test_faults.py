@@ -46,6 +46,7 @@ def test_given_a_result_that_is_lost_on_its_way_then_the_sampler_asks_again(tmp_
     assert result.outcome.judged, result
 
 
+@pytest.mark.nightly
 def test_given_an_acceptance_that_is_lost_on_its_way_then_the_sampler_asks_for_the_result(
     tmp_path, monkeypatch
 ):

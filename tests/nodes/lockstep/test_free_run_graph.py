@@ -153,7 +153,8 @@ def test_r5_given_a_free_run_when_run_again_then_it_is_free_again(slow, tmp_path
 
 
 @pytest.mark.parametrize(('name', 'kind', 'says'), [
-    ('Silent', 'timeout', 'silent for 2 s'), ('Dying', 'died', 'killed by SIGKILL'),
+    pytest.param('Silent', 'timeout', 'silent for 2 s', marks=pytest.mark.nightly),
+    ('Dying', 'died', 'killed by SIGKILL'),
 ])
 def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and_names_it(
     mine, tmp_path, name, kind, says

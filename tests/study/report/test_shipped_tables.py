@@ -125,6 +125,7 @@ def test_t14_study_given_the_shipped_searches_then_there_are_five_by_each_rule_a
             assert f'{100 * line[name]:.1f} % {ends}' in DOCS
 
 
+@pytest.mark.nightly
 def test_paper_given_tables_then_the_command_reports_them(
     tmp_path, monkeypatch, capsys
 ):

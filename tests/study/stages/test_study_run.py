@@ -202,7 +202,12 @@ def waiting(out: Path) -> subprocess.Popen[str]:
     return study
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize('number', [
+    signal.SIGKILL, *(
+        pytest.param(number, marks=pytest.mark.nightly)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    ),
+])
 def test_given_a_study_when_interrupted_or_killed_then_its_stage_is_resumed(
     finished, tmp_path, number
 ):

@@ -244,9 +244,9 @@ class Eyes:
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(('how', 'why'), [
-    ('dies', 'worker: exit code 7'),
-    pytest.param('hangs', 'worker: silent for 20 s', marks=pytest.mark.nightly),
+    ('dies', 'worker: exit code 7'), ('hangs', 'worker: silent for 20 s'),
 ])
 def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alone_are_lost(
     how, why, tmp_path, monkeypatch,

@@ -106,7 +106,11 @@ def a_row_is_lost(path: Path) -> None:
     connection.close()
 
 
-@pytest.mark.parametrize('damage', [a_bit_of_a_row, a_page_of_zeros, cut, a_row_is_lost])
+@pytest.mark.parametrize('damage', [
+    a_bit_of_a_row, a_page_of_zeros, *(
+        pytest.param(damage, marks=pytest.mark.nightly) for damage in (cut, a_row_is_lost)
+    ),
+])
 def test_given_a_damaged_record_then_readers_refuse_it_and_resumed_it_is_as_before(
     campaign, taxinet, tmp_path, damage
 ):
@@ -216,7 +220,9 @@ def gone(folder: Path) -> None:
         (folder / name).unlink()
 
 
-@pytest.mark.parametrize('damage', [edited, of_fewer_runs, gone])
+@pytest.mark.parametrize('damage', [
+    edited, *(pytest.param(damage, marks=pytest.mark.nightly) for damage in (of_fewer_runs, gone)),
+])
 def test_doctor_given_tables_that_do_not_say_what_the_record_says_then_they_are_made_again(
     campaign, taxinet, damage
 ):

@@ -110,7 +110,9 @@ NEAREST = {
 }
 
 
-@pytest.mark.parametrize('workers', [1, 2, 8])
+@pytest.mark.parametrize('workers', [
+    2, *(pytest.param(count, marks=pytest.mark.nightly) for count in (1, 8)),
+])
 def test_given_a_failed_run_then_what_matters_is_found_and_every_run_is_on_record(
     tmp_path, workers
 ):
