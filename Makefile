@@ -1,9 +1,9 @@
 # taxinet_ros from a bare machine to a run: Python 3.11 to 3.13, a C and C++ compiler and make are
 # all it takes. No ROS installation is needed or used; ROS 2 Jazzy comes as wheels into .venv.
 #
-#   make          install into .venv             make test       lint, types, import rules, tests
+#   make          install into .venv             make test       the tests
 #   make demo     install and run the demo       make nightly    the long tests: stress, soak, fuzz
-#   make format   fix what ruff can fix        make lint       the quick part of make test
+#   make format   fix what ruff can fix        make lint       style, types, import rules
 #   make bench    times, ratios to bench.json    make clean      remove caches and build folders
 #   make docs     the site into build/docs       make distclean  the same, and .venv
 #   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest
@@ -63,7 +63,7 @@ unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: install demo test suite nightly bench docs lint format clean distclean asked-python own
+.PHONY: install demo test nightly bench docs lint format clean distclean asked-python own
 .NOTPARALLEL:
 
 install: $(DONE)/messages
@@ -73,13 +73,11 @@ demo: $(DONE)/messages
 	@echo '$(BIN)/taxinet demo --out $(OUT)'
 	@$(BIN)/taxinet demo --out $(OUT)
 
-test: lint suite
-
 # Message setters then check types and ranges; else a wrong value is cut to size in silence.
-suite nightly: export ROS_PYTHON_CHECK_FIELDS := 1
-suite: TIER := not nightly
+test nightly: export ROS_PYTHON_CHECK_FIELDS := 1
+test: TIER := not nightly
 nightly: TIER := nightly
-suite nightly: $(DONE)/messages $(DONE)/tools
+test nightly: $(DONE)/messages $(DONE)/tools
 	$(BIN)/python -m pytest -m '$(TIER)' -n $(JOBS) --maxprocesses 8 --dist loadfile \
 	  --no-loadscope-reorder $(PYTEST)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import gc
 import os
 import signal
@@ -51,8 +52,19 @@ def pytest_xdist_auto_num_workers() -> int:
     return (3 * (psutil.cpu_count() or 1) + 1) // 2
 
 
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Have the files with long tests begun first, lest one of them is left for the end."""
+    """Leave cases to the nightly tier, and begin the files with long tests first.
+
+    Lest one of them is left for the end.
+    """
+    cases = collections.Counter[str]()
+    for item in items:
+        for marker in item.iter_markers('one_in'):
+            function = item.nodeid.partition('[')[0]
+            if cases[function] % marker.args[0]:
+                item.add_marker('nightly')
+            cases[function] += 1
     long = {item.path for item in items for _ in item.iter_markers('ros')}
     items.sort(key=lambda item: item.path not in long)
 

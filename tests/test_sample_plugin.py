@@ -129,6 +129,7 @@ def changed_text(path: Path, change: Callable[[str], str]) -> Iterator[None]:
         path.write_text(before)
 
 
+@pytest.mark.nightly
 def test_given_the_sample_when_a_run_is_made_in_its_world_then_its_frames_are_of_there(
     site: Path, tmp_path: Path
 ) -> None:

@@ -53,6 +53,7 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
     assert {**there.facts, 'bags': False, 'engine': 'loop'} == found.facts
 
 
+@pytest.mark.nightly
 def test_given_more_runs_and_workers_when_resumed_then_the_table_is_that_of_one_sitting(
     tmp_path, capsys
 ):

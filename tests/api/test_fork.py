@@ -99,6 +99,7 @@ def test_given_random_latencies_then_they_are_those_of_the_run():
     assert late.fork(1.0).fork_of.step == 10
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('settings', 'there'), [
     ({'rain': 0, 'clouds': 'clear'}, {'rain_fraction': 0.0, 'clouds': 'clear'}),
     ({'time_of_day_h': 7.5, 'shadows': 'off'}, {'time_of_day_s': 27000.0, 'shadows': False}),

@@ -166,6 +166,7 @@ def test_given_a_disk_that_refuses_amid_the_bag_then_nothing_of_it_stays(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_given_a_place_of_ones_own_when_saved_then_the_bag_alone_shows_and_judges_it(tmp_path):
     there = tx.Scenario(place=OWN_PLACE, cross_track_m=20.0, duration_s=1.0)
     bag = tx.run(there, specs=SPECS).save_bag(tmp_path / 'run')

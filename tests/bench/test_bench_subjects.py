@@ -41,6 +41,7 @@ def test_given_the_camera_when_measured_then_every_scene_has_its_stages_and_thei
     assert stages == set(STAGES)
 
 
+@pytest.mark.nightly
 def test_given_the_loop_when_measured_then_there_are_real_time_factors() -> None:
     found = figures('loop', repeats=1)
 

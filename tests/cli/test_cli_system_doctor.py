@@ -101,6 +101,7 @@ CHECK_ROS = (
 )
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.ros
 @pytest.mark.parametrize(('given', 'command', 'code', 'says'), [
     (NO_MIDDLEWARE, [TAXINET, 'run', 'nominal'], 2, 'taxinet: error: RMW_IMPLEMENTATION=rmw_nowhe'),

@@ -146,6 +146,7 @@ def test_given_times_that_are_those_of_steps_then_they_have_come_at_these_steps(
             [seq - count] if seq >= count else [] for seq in range(40)]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('rate_hz', [5, 20, 40, 30, 60])
 def test_given_commands_that_are_held_then_the_states_and_frames_are_those_at_10_hz(rate_hz):
     usual, other = braked(scene(10, **WINDY)), braked(scene(rate_hz, **WINDY))

@@ -65,6 +65,7 @@ def test_given_a_delay_and_a_drop_out_then_pictures_arrive_when_they_should():
     assert [one[0][0] for one in often.values()][:3] == [0, 66_666_666, 133_333_333]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize('mount', ['nose', 'strut', MINE, {'base': 'wing', 'dpitch_deg': 3}])
 def test_given_a_mount_then_its_pictures_are_those_of_a_run_with_this_camera(mount):
     spoiled = {**RAINY, 'lens_dirt_percent': 20, 'camera_freeze_s': 1.0, 'camera_dz_m': 0.2,

@@ -144,6 +144,7 @@ def test_given_a_ctrl_c_amid_a_function_then_it_is_one(file):
         steering(file(text)).command(SEEN)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize('text', [
     'def make(seen): os.fork(); return 0.0, 1.0',
     'def make(seen): return (0.0, 1.0) if os.fork() else 1 / 0',

@@ -93,6 +93,7 @@ def test_given_a_recording_then_its_topics_are_proposed(taxinet, drive):
     assert 'heading' in taxinet('score', '--topics', drive)[1]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('words', 'line'), [
     ((), 'place is missing'),
     ((*KNOWN, 'drive'), 'a recording is named twice'),
@@ -269,6 +270,7 @@ def test_given_a_known_camera_then_labelled_images_name_it_and_a_view_shows_them
         ('program', 'training_original'), ('folder', bag.name)]
 
 
+@pytest.mark.nightly
 def test_given_labelled_frames_when_laid_into_a_bag_then_their_labels_are_the_truth(
     taxinet, see, tmp_path
 ):

@@ -86,6 +86,7 @@ KINDS = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('kind', 'message', 'word'), KINDS.values(), ids=KINDS)
 def test_given_recorded_estimates_then_their_bias_and_noise_are_found_whenever_they_came(
     scored, kind, message, word
@@ -202,6 +203,7 @@ def test_given_arrays_that_are_empty_where_nothing_was_seen_then_these_are_count
     assert found.slices[0].errors['cte'][0].frames == 50
 
 
+@pytest.mark.nightly
 def test_given_a_network_beside_recorded_estimates_then_they_are_compared_frame_by_frame(scored):
     drive = Drive(seconds=30, more=heard(OURS, ours, seconds=30) + heard(
         VECTOR, in_feet, topic='/other', bias=(1, 0), seconds=30))
@@ -244,6 +246,7 @@ def test_given_images_that_cannot_be_written_then_that_is_said_before_scoring(
         scored(drive, perception='/seen', image=image, dataset=tmp_path / 'images')
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('word', 'line'), [
     ('/seen:vector.y=m,vector.z=deg', r'signs of estimates or truth \(.* a minus before a field of '
      r'/seen turns it\), or they are as wrong as that'),
@@ -283,6 +286,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('word', 'more', 'line'), REFUSED.values(), ids=REFUSED)
 def test_given_estimates_that_cannot_be_scored_then_one_line_says_why(scored, word, more, line):
     sent = [

@@ -190,6 +190,7 @@ def test_given_answers_that_wait_when_asked_what_is_learned_then_they_count_but_
     assert learner.told == []
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize('name', SAMPLERS)
 def test_s9_given_refused_points_when_asked_again_then_the_run_stays_and_has_another_point(
     name: str,

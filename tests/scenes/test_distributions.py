@@ -14,6 +14,7 @@ TOP = 'import numpy\nmodel runway_world\nego = new Plane at (0, 400)\n'
 BAD_WEIGHTS = 'ValueError: the weights are {}; they have to be numbers of 0 or more, and one of'
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(('choice', 'message'), [
     ('VerifaiRange(0, 4, weights=[1, -0.5, 1])', BAD_WEIGHTS.format('[1, -0.5, 1]')),
     ('VerifaiRange(0, 4, weights=[0, 0])', BAD_WEIGHTS.format('[0, 0]')),

@@ -83,6 +83,7 @@ def test_s10_a_program_of_scenic_2_is_refused_by_scenic_with_its_line(
     assert message in said(text)[1]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('params', 'values'), [
     ('zulu_time = 72000', {'time_of_day_s': 43200}),
     ('"sim/time/zulu_time_sec" = 3600', {'time_of_day_s': 61200}),
@@ -119,6 +120,7 @@ def test_s10_an_override_replaces_what_the_paper_s_name_says(write: Any) -> None
         assert 72000 <= source.scene(0).time_of_day_s <= 75600, 'GMT is local time there'
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(('params', 'message'), [
     ('cloud_type = 6', 'param cloud_type is 6.0; expected a whole number from 0 to 5, for clear'),
     ('cloud_type = Uniform(0, 1.5)', 'param cloud_type is 1.5; expected a whole number'),
@@ -138,6 +140,7 @@ def test_s10_a_parameter_of_the_paper_out_of_its_range_is_refused(
     assert message in told
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize('rain', ['0.5', '1', '"50"', '0', 'Range(0, 100)',
                                   'Options({0: 2, Range(25, 100): 1})'])
 @pytest.mark.parametrize('name', ['rain', 'rain_percent'])

@@ -263,6 +263,7 @@ def test_a_source_without_its_last_line_end_is_stored_as_with_it(tmp_path: Path)
     assert text == '# --- main.scenic ---\nmodel runway_world\n'
 
 
+@pytest.mark.nightly
 def test_documents_of_one_name_from_outside_are_not_written(tmp_path: Path) -> None:
     (tmp_path / 'out').mkdir()
     program = write(tmp_path / 'there', **{
@@ -303,6 +304,7 @@ MOVED_ONES = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize('case', MOVED_ONES)
 def test_the_camera_that_a_document_moves_is_of_the_program(case: str, tmp_path: Path) -> None:
     document, base, stored = MOVED_ONES[case]

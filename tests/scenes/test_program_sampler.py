@@ -139,6 +139,7 @@ def test_s4_the_parameters_of_a_program_are_read_with_their_lines(
     }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('text', 'ego', 'buckets'), [
     ('', EGO, [10, 10]),
     ('param verifaiSamplerType = "halton"\n', EGO, [10, 10]),
@@ -156,6 +157,7 @@ def test_s4_ranges_are_cut_as_the_program_says(
     assert [choice['dimension']['buckets'] for choice in choices] == buckets
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('text', 'line', 'message'), [
     ('param verifaiSamplerParams = 3\n', 3, 'verifaiSamplerParams is a int; it has to be a DotMap'),
     (CE + 'param verifaiSamplerParams = {"cont": {"buckets": [3, 4]}}\n', 4,
@@ -170,6 +172,7 @@ def test_s4_parameters_that_cannot_be_read_are_refused_with_their_line(
     refused(PLANE + text + EGO, line, message)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('text', 'message'), [
     ('param verifaiSamplerType = 3\n', ":3: verifaiSamplerType = '3' is unknown; known: random"),
     ('param verifaiSamplerType = Uniform("ce", "mab")\n', ':3: verifaiSamplerType = .* is unknown'),

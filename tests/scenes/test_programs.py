@@ -68,6 +68,7 @@ def test_given_s_falsif_when_drawn_then_start_and_time_are_uniform(
     assert_uniform([math.degrees(scene.heading_rad) for scene in falsification], -30, 30)
 
 
+@pytest.mark.nightly
 def test_given_runway_position_when_drawn_then_the_ranges_have_the_weights_of_figure_8() -> None:
     scenes = draw('runway_position')
     for low, high, weight in ((0, 400, 0.35), (400, 1200, 0.1), (1200, 1600, 0.5),
@@ -90,6 +91,7 @@ def test_given_nominal_when_drawn_then_it_starts_on_the_line_in_fine_weather() -
     assert all(not 1350 - driven_m < scene.distance_m < 1550 for scene in scenes)
 
 
+@pytest.mark.nightly
 def test_given_training_original_when_drawn_then_its_gaps_are_gaps() -> None:
     scenes = draw('training_original', 300)
     assert_uniform([scene.cross_track_m for scene in scenes], -9, 9)

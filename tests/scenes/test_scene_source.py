@@ -43,6 +43,7 @@ def test_given_scenes_when_drawn_in_another_order_and_process_then_they_are_the_
     assert not set(sample_scenarios('s_falsif', 8, 12)) & set(forward)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('cause', [
     # (program, what is said of it after its name)
     ('model runway_world\nego = new Plane at (0,\nparam x = 1\n', ':3: invalid syntax'),
@@ -298,6 +299,7 @@ INDEPENDENT = (WORLD + 'param clouds = Uniform("clear", "broken")\nparam rain = 
                'ego = new Plane at (0, 400)\n')
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('text', 'reason', 'share'), [
     (OFF_CENTRE, 'cross_track_m is', 0.06),
     (INDEPENDENT, "rain needs clouds broken/overcast/stratus, got 'clear'", 0.5),
@@ -358,6 +360,7 @@ def test_a_wind_direction_that_has_no_effect_in_any_scene_or_is_typed_stays_to_b
                      if kept or key != 'wind_direction_deg'}
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('text', 'message'), [
     (WORLD + 'ego = new Plane at (16, Range(0, 9))\n', 'cross_track_m is -16'),
     (INDEPENDENT.replace('Uniform("clear", "broken")', '"clear"').replace('Range(20, 30)', '20'),
@@ -416,6 +419,7 @@ def test_s5_attack_given_no_run_could_be_judged_then_the_first_reason_is_said(
 _LOW = 'camera_dz_m: the camera low.yaml has an offset of its own; leave one out'
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('camera', 'lines', 'overrides'), [
     ("'low.yaml'", '', {'camera_dz_m': '0'}), ("'low.yaml'", '', {'camera_dz_m': '0.05'}),
     ("'low.yaml'", 'param camera_dz_m = 0\n', {}),

@@ -11,6 +11,7 @@ PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
 LAZY = 'from scenic.core.distributions import distributionFunction\n@distributionFunction\n'
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('text', 'line', 'message'), [
     ('model runway_world\nego = new Plane at (0,\nparam x = 1\n', 3, 'invalid syntax'),
     ('model runway_world\n\nego = new Plane at (Rnge(0, 1), 3)\n', 3,

@@ -268,6 +268,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize('case', REFUSED)
 def test_s5_what_has_no_effect_is_refused_by_name_and_line(
     case: str, ask: Ask, tmp_path: Path
@@ -426,6 +427,7 @@ WORKS = {
 """Program, and some values of each of its scenes."""
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize('case', WORKS)
 def test_s5_what_has_an_effect_is_not_refused(case: str, ask: Ask) -> None:
     text, expected = WORKS[case]

@@ -59,6 +59,7 @@ def test_given_a_wind_that_may_be_none_then_its_directions_are_left_out(write):
         assert scene.windy is ('wind_direction_deg@5' in scene.points)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('text', 'said'), [
     ("param 'place@3' = 'bikf_10'", 'param place@3: place cannot change within a run; what can: '),
     ("param 'wind_speed@0' = 3", 'param wind_speed@0: the value at 0 s is wind_speed_mps itself'),

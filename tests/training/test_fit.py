@@ -145,6 +145,7 @@ def epochs(count: int) -> list[Epoch]:
     ]  # fmt: skip
 
 
+@pytest.mark.nightly
 def test_given_a_history_when_written_then_table_and_picture_show_every_epoch() -> None:
     count = 5
     history = epochs(count)

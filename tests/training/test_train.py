@@ -74,6 +74,7 @@ def test_given_a_tiny_training_when_done_twice_then_weights_are_equal_and_the_ca
     assert (tmp_path / 'first.png').read_bytes().startswith(b'\x89PNG')
 
 
+@pytest.mark.nightly
 def test_given_a_foreign_folder_when_trained_on_then_rows_are_held_back_by_seed(
     tmp_path: Path,
 ) -> None:

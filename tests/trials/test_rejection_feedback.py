@@ -57,6 +57,7 @@ def points(
     return found
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('name', [
     pytest.param(name, marks=[pytest.mark.nightly] if name == 'bo' else [])  # half a minute
     for name in RHO_OF_REJECTED

@@ -53,6 +53,7 @@ def same_but_for_tries(one: Path, other: Path) -> None:
     pd.testing.assert_frame_equal(*tables)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('workers', 'sampler'), [
     (1, 'ce'), (3, 'ce'), (LAG, 'ce'), (LAG, 'active'), (3, 'halton'), (LAG, 'tpe'),
 ])
@@ -234,6 +235,7 @@ def test_given_a_damaged_record_when_resumed_then_only_what_it_lacks_is_made_aga
     assert fixed > 10
 
 
+@pytest.mark.nightly
 def test_f1_given_a_kill_amid_a_second_sitting_then_a_third_ends_as_if_nothing_had_been(tmp_path):
     whole, killed = tmp_path / 'whole', tmp_path / 'killed'
     toy.finish(toy.options(whole))

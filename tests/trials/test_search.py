@@ -221,6 +221,7 @@ def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule,
     assert len(again.rows) == len(search.rows)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('rule', ['failures=2', 'half-width=0.3', 'min-satisfaction=0.2'])
 def test_t15_given_a_stop_rule_then_workers_make_no_difference(rule, tmp_path):
     """One worker stopped after 10 runs, two after 11."""

@@ -65,6 +65,7 @@ def test_given_answers_then_what_was_asked_names_the_perception_from_the_first_o
     assert read_facts(tmp_path / 'c')['perception_sha256'] == 'abc'
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ('before', 'after', 'words'),
     [

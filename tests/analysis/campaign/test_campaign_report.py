@@ -135,6 +135,7 @@ def test_given_as_many_changes_to_either_side_then_they_may_be_chance(tmp_path):
     assert ', which may be chance' in said_of(runs, comparison())
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(('key', 'value'), [
     ('wind_speed_mps', 5.0), ('place', 'bikf_10'), ('gust_seed', 3.0), ('traffic', '1_objects@0'),
     ('camera', 'nose'), ('duration_s', 60.0), ('slope_percent', 1.0), ('shadows', False),

@@ -30,6 +30,7 @@ def of_shipped(one: str, other: str):
         read_runs(BAGS / f's_falsif_{name}_400.parquet') for name in (one, other)]))
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings('ignore')
 def test_given_the_shipped_tables_then_the_pairs_are_those_that_a_join_by_hand_gives():
     tables = [

@@ -151,6 +151,7 @@ def test_given_a_report_without_runs_when_written_then_there_is_no_viewer(tmp_pa
     assert not any(str(one['href']).startswith('#run') for one in page.all('a'))
 
 
+@pytest.mark.nightly
 def test_given_the_same_report_when_written_again_then_the_bytes_are_equal(
     plain: str, tmp_path: Path,
 ) -> None:

@@ -135,6 +135,7 @@ def test_given_ground_without_a_crossing_when_drawn_then_the_paint_is_not_interr
     assert longest[0] < longest[1] == pytest.approx(plain['length'])
 
 
+@pytest.mark.nightly
 def test_given_a_run_on_a_track_when_viewed_then_the_track_is_drawn_and_the_nose_turns_with_it(
     tmp_path: Path,
 ) -> None:

@@ -80,6 +80,7 @@ def test_given_a_search_when_rated_then_only_what_the_program_itself_drew_counts
     assert searched.rate() == (200, failed.sum(), *rate(int((failed & drawn).sum()), 50), 50)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('sampler', ['cmaes', 'halton', 'grid', 'ce'])
 def test_given_a_search_without_draws_then_there_is_no_rate(sampler, tmp_path):
     """Also one of an older version, whose table does not say who drew what."""

@@ -82,6 +82,7 @@ FORMS: dict[str, dict[str, object]] = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('form', FORMS)
 def test_given_a_legal_form_then_the_run_is_whole_judged_and_compared_as_before(
     form: str, whole: Path, tmp_path: Path
@@ -96,6 +97,7 @@ def test_given_a_legal_form_then_the_run_is_whole_judged_and_compared_as_before(
     assert len(open_recording(bag).one.trace) == STEPS
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('form', EXTRA)
 def test_given_topics_of_another_form_then_no_command_refuses_the_bag(
     form: str, whole: Path, tmp_path: Path, taxinet: Callable[..., tuple[int, str, str]]

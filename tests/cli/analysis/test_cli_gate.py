@@ -127,6 +127,7 @@ def test_given_too_few_changes_then_it_is_unclear_and_none_of_80_pass(before, tm
     assert 'PASS         no worse than the baseline' in said
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('changes', 'words'), [
     ({'seed': 8}, 'baseline before: its seed is 7, here 8'),
     ({'settings': ('place=bikf_10',)}, 'its setting place is not set, here bikf_10'),
@@ -141,6 +142,7 @@ def test_given_other_scenes_than_the_baselines_then_it_is_refused_by_name(
     assert words in err
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('words', 'reason'), [
     ('gate before', 'give a threshold: min_satisfaction, max_off_runway or baseline'),
     ('gate before --margin 0.1 --min-satisfaction 0.5', '--margin: only with --baseline'),

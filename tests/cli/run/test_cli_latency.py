@@ -43,6 +43,7 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 def test_r5_given_a_latency_then_facts_rows_and_bag_info_say_it(folder):
     assert read_facts(folder / 's')['timing'] == WORDS
     assert set(read_table(folder / 's')['timing']) == {WORDS}

@@ -87,6 +87,7 @@ def test_given_a_runway_without_markings_when_shown_then_one_line_says_how_it_is
     assert 'paint       visual' in done.stdout
 
 
+@pytest.mark.nightly
 def test_given_an_airport_when_run_there_then_the_table_says_so(tmp_path, apt_dat, monkeypatch):
     monkeypatch.setenv('TAXINET_APT_DAT', str(apt_dat))
     done = taxinet(

@@ -41,6 +41,7 @@ def test_given_a_model_when_shown_then_what_its_file_leaves_out_is_measured(tmp_
     assert 'outline     none: it casts no shadow' in done.stdout
 
 
+@pytest.mark.nightly
 def test_given_an_aircraft_when_shown_twice_then_it_is_drawn_in_the_same_bytes(tmp_path):
     outs = [tmp_path / name for name in ('one.png', 'two.png')]
     for out in outs:

@@ -116,6 +116,7 @@ def test_given_a_stripes_end_when_photographed_then_its_row_is_the_projected_one
     assert np.abs(errors).max() < 3
 
 
+@pytest.mark.nightly
 def test_given_equal_inputs_when_rendered_in_two_processes_then_the_bytes_are_equal() -> None:
     code = (
         'import hashlib, cv2; cv2.setNumThreads(1)\n'

@@ -118,6 +118,7 @@ def test_given_a_start_when_rolling_straight_then_it_neither_drops_nor_nods_and_
     assert states[-1].speed_mps == pytest.approx(TAXI_SPEED_MPS, abs=0.01)
 
 
+@pytest.mark.nightly
 def test_given_the_same_scenario_when_run_in_two_processes_then_no_bit_no_word_no_file_differs(
     tmp_path: Path,
 ) -> None:

@@ -84,6 +84,7 @@ def test_given_many_places_when_counted_then_every_kind_is_among_them(places) ->
         assert 0.15 < share < 0.7
 
 
+@pytest.mark.nightly
 def test_given_random_places_when_rendered_then_each_looks_different() -> None:
     frames = []
     for number in (3, 12, 10_001, 90_000):

@@ -197,6 +197,7 @@ def test_given_a_document_that_reaches_out_when_found_then_refused(files, words)
         Scenario(aircraft=document)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('values', 'words'), [
     ({'model': 'F450'}, 'aircraft own: no wheel of the model F450 steers'),
     ({'model': 'DHC6'}, 'aircraft own: JSBSim gives other numbers every time with the model DHC6'),

@@ -8,6 +8,7 @@ import pytest
 from planted_evidence import FAIL, PASS, planted
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(('outcomes', 'claim', 'code'), [
     ([PASS] * 10 + [FAIL] * 10, '99%', 1), ([PASS] * 10, '0.99', 3), ([PASS] * 10, '50 %', 0),
     ([PASS] * 10 + [FAIL] * 10, None, 0),

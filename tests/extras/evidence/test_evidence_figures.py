@@ -67,6 +67,7 @@ def test_given_infrastructure_errors_then_they_are_in_no_rate_and_have_their_own
     assert 'infra' in limits(content)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(('passed', 'failed', 'claim', 'verdict'), [
     (72, 0, 0.95, 'supported'), (71, 0, 0.95, 'undetermined'), (10, 10, 0.99, 'refuted'),
     (10, 0, 0.99, 'undetermined'),
@@ -203,6 +204,7 @@ def test_given_a_network_of_unknown_training_then_that_is_a_limit_and_a_goal_lef
     assert the_goal(content, 'training data')['undeveloped']
 
 
+@pytest.mark.nightly
 def test_given_an_odd_then_its_cells_are_counted_and_gaps_are_limits(tmp_path):
     odd = tmp_path / 'odd.yaml'
     odd.write_text(
@@ -362,6 +364,7 @@ def test_given_a_campaign_twice_or_its_copy_then_it_is_refused(tmp_path):
             collected(folder, other)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('options', 'words'), [
     ({'claim': 1.0}, 'expected a share between 0 and 1'), ({'claim': 0.0}, 'expected a share'),
     ({'spec': 'psi'}, 'not judged in .*known: phi'), ({'odd': 'nowhere'}, 'no such file'),

@@ -204,6 +204,7 @@ def test_given_a_claim_that_does_not_follow_from_the_runs_then_the_value_is_name
     assert any(re.search(words, line) for line in found.damaged), found.damaged
 
 
+@pytest.mark.nightly
 def test_given_a_moved_campaign_then_it_is_asked_for_and_found_by_its_hashes(tmp_path):
     out = made(tmp_path)
     (tmp_path / 'found').rename(tmp_path / 'elsewhere')
@@ -263,6 +264,7 @@ def test_given_everything_moved_together_then_all_is_found(tmp_path):
     assert not verified(tmp_path / 'there' / 'evidence').damaged
 
 
+@pytest.mark.nightly
 def test_given_a_campaign_that_went_on_since_then_it_is_named_as_changed(tmp_path):
     out = made(tmp_path)
     assert verified(out, sample=3).code == ExitCode.INCOMPLETE

@@ -160,6 +160,7 @@ def deaf(sim: FakeXPlane, words: str) -> None:
     sim.set = lambda name, *more: None if words in name else plain(name, *more)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('spoil', 'words'), [
     (lambda sim: setattr(sim, 'view_off', (0.0, 0.3, 0.0)),
      r'sim: x-plane: the view is 0.30 m and 0.0 deg from wher'),
@@ -349,6 +350,7 @@ def jumped(by_s: float) -> Callable[[FakeXPlane], None]:
     return jump
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(('spoil', 'words'), [
     (jumped(-5.0), r'sim: x-plane: its time went back from .* replay shown'),
     (jumped(5.0), r'timeout: x-plane: step 2 ended 4\.\d+ s of its time'),

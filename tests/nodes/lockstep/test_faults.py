@@ -65,6 +65,7 @@ def test_given_an_acceptance_that_is_lost_on_its_way_then_the_sampler_asks_for_t
     assert result.outcome.judged, result
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ('who', 'method'),
     [
@@ -117,6 +118,7 @@ def test_given_a_node_that_falls_silent_then_the_watchdog_names_it(tmp_path, mon
     assert len(steps_in(tmp_path / 'run')) == 16
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize('who', PARTICIPANTS)
 def test_r8_given_a_missing_node_then_the_run_is_not_begun_and_it_is_named_alone(who, tmp_path):
     class Without(GraphOptions):

@@ -139,6 +139,7 @@ def test_given_planted_differences_then_the_words_follow_from_them(study):
     assert not [name for name in verdicts if name.startswith('iterative')]
 
 
+@pytest.mark.nightly
 def test_given_the_opposite_then_it_is_not_as_in_the_paper_and_equals_are_not_clear(tmp_path):
     config = made_up_study(tmp_path)
     folders = [tmp_path / campaign_of(name) / 'runs.parquet' for name in ('original', 'generic')]

@@ -44,6 +44,7 @@ def test_given_worker_processes_when_rendering_then_the_varied_dataset_is_the_sa
         assert np.array_equal(image, again)
 
 
+@pytest.mark.nightly
 def test_given_a_varied_world_when_rendering_then_seed_and_number_fix_every_look() -> None:
     def look(index: int, seed: int) -> bytes:
         return photograph(SCENES[0], varied=True, seed=seed, index=index)[0].tobytes()

@@ -106,6 +106,7 @@ def test_provenance_of_each_stage_of_a_study_is_recorded_and_compared():
     assert f'numpy 0.1 | {provenance()["numpy"]}' in stack_warning({'falsify': other})
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(
     'path', sorted((Path(__file__).parents[3] / 'bags').glob('s_falsif_*.parquet')),
     ids=lambda path: path.stem,

@@ -114,6 +114,7 @@ def test_given_a_row_when_recorded_then_it_is_read_as_it_was(made: RunRow, tmp_p
     assert read_campaign(campaign(tmp_path, made)).rows == (made,)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(('changes', 'said'), [
     ({'robustness': {'phi': (0.5, 0.5)}}, 'FAIL with robustness'),
     ({'robustness': {'phi': (-0.5, 0.5)}}, 'has intervals'),

@@ -161,6 +161,7 @@ def test_given_an_interrupt_when_resumed_then_nothing_is_run_twice_and_the_resul
     pd.testing.assert_frame_equal(one, other)
 
 
+@pytest.mark.nightly
 def test_given_few_runs_then_no_more_are_made_and_more_may_be_asked_for_on_resumption(tmp_path):
     path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
     few = drive(options(path, out, runs=9, workers=8))
@@ -326,6 +327,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize('case', REFUSED)
 def test_given_a_mistake_or_a_run_that_cannot_be_shrunk_then_one_line_says_so(tmp_path, case):
     of_run, asked, expected = REFUSED[case]
