@@ -34,6 +34,8 @@ def _split(bag: Path, out: Path) -> int:
     from taxinet_ros.bag.layout import run_folder
     from taxinet_ros.bag.rewrite.split import write_runs
     from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.bag.run.runs import is_run_topic
+    from taxinet_ros.bag.run.topics import is_of_frames
 
     recording = open_recording(bag)
     present = [run for run in recording.runs if not run.absent]
@@ -47,6 +49,12 @@ def _split(bag: Path, out: Path) -> int:
     for run in recording.runs:
         where = f'-> {folders[run.name]}' if run.name in folders else 'nothing to write'
         print(f'{run.words()} {run.outcome or "without its end"} {where}')
+    others = sorted(
+        name for name, count in recording.info.counts.items()
+        if count and not is_run_topic(name) and not is_of_frames(name)
+    )
+    if others:
+        print(f'left out, as no run is judged by them: {", ".join(others)}')
     for error in recording.damage:
         print(f'damage: {error}')
     return ExitCode.INCOMPLETE if recording.damage else ExitCode.OK

@@ -150,7 +150,8 @@ def test_ros1_given_a_recording_when_split_then_every_bag_is_whole_and_the_same_
     both, tmp_path, taxinet
 ):
     code, out, _ = taxinet('bag', 'split', both, '--out', tmp_path / 'runs')
-    assert (code, len(out.splitlines())) == (0, 2)
+    assert (code, len(out.splitlines())) == (0, 3)
+    assert out.splitlines()[-1] == 'left out, as no run is judged by them: /rosout'
     for own in (GOOD, BAD):
         new = tmp_path / 'runs' / own.name
         assert all(topic.equal for topic in compare_bags(own, new))
