@@ -348,9 +348,12 @@ class ClusterPool:
 
     def _look(self) -> None:
         """Take note of workers that came or went, and of those that are unfit."""
+        scheduler = self._client.scheduler
+        if scheduler is None:
+            raise self._gone('has been lost')
         try:
             # What Client.scheduler_info() gives may be another question's answer, without workers.
-            asked = self._client.sync(self._client.scheduler.identity)
+            asked = self._client.sync(scheduler.identity)
             threads = {worker: info['nthreads'] for worker, info in asked['workers'].items()}
         except Exception as error:  # of tornado, asyncio, or the operating system
             raise self._gone(f'has been lost ({_one_line(error)})') from error
