@@ -48,9 +48,8 @@ def analyze(
     """Find the causes of a campaign's failures, and write a report.
 
     Identifies hours, clouds, positions and poses (singly and in pairs) where runs fail
-    significantly more often, clusters the counterexamples, plots robustness over each feature and
-    compares networks. Exit code 3 if a sampler chose all runs, so that the program's failure rate
-    cannot be estimated.
+    significantly more often, plots robustness over each feature and compares networks. Exit code 3
+    if a sampler chose all runs, so that the program's failure rate cannot be estimated.
     """
     from taxinet_ros.analysis.campaign.findings import analyse
     from taxinet_ros.analysis.campaign.folder import (
