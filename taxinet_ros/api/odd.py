@@ -31,7 +31,7 @@ def odd_coverage(
 
     Returns:
         ``.inside``, ``.outside``, the runs and rate of each of the ``.cells``, ``.strengths``
-        (combinations of 1, 2 and 3 cells: ``feasible``, ``covered``), ``.gaps``, ``.hole``.
+        (combinations of 1, 2 and 3 cells: ``feasible``, ``covered``), ``.gaps``.
 
     Raises:
         UsageError: a mistake in the ODD, campaigns that cannot be counted together, or a limit
