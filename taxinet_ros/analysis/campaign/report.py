@@ -37,14 +37,14 @@ from taxinet_ros.core.provenance import differences, words
 
 TEXT = Path(__file__).with_name('page.j2')
 VIEWERS = 20
+"""Most failed runs that the page has step by step."""
 
 
-def campaign_report(findings: Findings, *, viewers: int = VIEWERS) -> Report:
+def campaign_report(findings: Findings) -> Report:
     """Present findings as sentences, tables and pictures.
 
     Args:
         findings: result of :func:`~taxinet_ros.analysis.campaign.findings.analyse`.
-        viewers: maximum number of failed runs to include step by step.
     """
     runs, failures = findings.runs, failures_to_inspect(findings)
     shown = min(len(failures), 2 * VIEWERS)
@@ -66,7 +66,7 @@ def campaign_report(findings: Findings, *, viewers: int = VIEWERS) -> Report:
             'no_program': why_no_program(runs), 'failed': len(failures), 'shown': shown,
         },
         _figures(findings, failures, shown),
-        **_worst_first(bag_folders(runs, failures, viewers), failures),
+        **_worst_first(bag_folders(runs, failures, VIEWERS), failures),
         made_on='; '.join(map(words, runs.stacks)),
     )
 

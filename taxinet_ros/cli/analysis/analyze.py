@@ -39,10 +39,6 @@ def analyze(
     alpha: Annotated[
         float, typer.Option(help='accepted probability of naming a false cause')
     ] = 0.05,
-    viewers: Annotated[
-        int, typer.Option(min=0, help='maximum number of failed runs shown step by step on the '
-        'page')
-    ] = 20,
     as_json: JsonOption = False,
 ) -> int:
     """Find the causes of a campaign's failures, and write a report.
@@ -70,7 +66,7 @@ def analyze(
     check_folder(folder)
     with _progress() as show:
         findings = analyse(runs, others, alpha=alpha, on_progress=show)
-        report = campaign_report(findings, viewers=viewers)
+        report = campaign_report(findings)
         values = write_analysis(findings, report, folder, on_progress=show)
     if as_json:
         print(json_text(values), end='')
