@@ -20,7 +20,7 @@ from taxinet_ros.analysis.explain.explain import (
     moment_words,
 )
 from taxinet_ros.analysis.explain.track import Floats, Frame, Moment
-from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
+from taxinet_ros.analysis.one_run.robustness import ROW_IN, draw_clauses
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
 from taxinet_ros.core.mtl.explain import Explanation as Clauses
