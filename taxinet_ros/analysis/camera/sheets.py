@@ -1,4 +1,4 @@
-"""Camera pictures with captions, scenes by hour and weather, and what a network sees of one."""
+"""Camera pictures with captions, scenes by hour and weather, and what a network sees."""
 
 from __future__ import annotations
 
