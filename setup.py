@@ -45,7 +45,6 @@ REQUIREMENTS = [
     'rosbags',
     'safetensors',
     'scenic==3.1.1',
-    'scikit-learn',
     'scipy',
     'threadpoolctl',
     'torch>=2.6',

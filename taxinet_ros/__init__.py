@@ -18,10 +18,15 @@ from typing import TYPE_CHECKING, Any
 from taxinet_ros.instructions import pin
 
 if TYPE_CHECKING:
-    from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign, open_recording
-    from taxinet_ros.api.compare import compare
+    from taxinet_ros.api.campaign import (
+        Campaign,
+        Counterexample,
+        compare,
+        odd_coverage,
+        open_campaign,
+        open_recording,
+    )
     from taxinet_ros.api.fork import fork
-    from taxinet_ros.api.odd import odd_coverage
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
     from taxinet_ros.api.search import estimate, falsify
     from taxinet_ros.bag.errors import BagError
@@ -38,7 +43,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.verdict.outcome import Outcome
     from taxinet_ros.errors import InfraError, RecordError, UsageError
     from taxinet_ros.extras.evidence.api import evidence, verify_evidence
-    from taxinet_ros.extras.forecast.api import load_forecast
+    from taxinet_ros.extras.forecast.forecast import load_forecast
     from taxinet_ros.version import __version__ as __version__
 
 __all__ = [
@@ -82,13 +87,11 @@ __all__ = [
 
 _MODULES = {
     'taxinet_ros.api.campaign': (
-        'Campaign', 'Counterexample', 'open_campaign', 'open_recording',
+        'Campaign', 'Counterexample', 'compare', 'odd_coverage', 'open_campaign', 'open_recording',
     ),
-    'taxinet_ros.api.compare': ('compare',),
     'taxinet_ros.extras.evidence.api': ('evidence', 'verify_evidence'),
-    'taxinet_ros.extras.forecast.api': ('load_forecast',),
+    'taxinet_ros.extras.forecast.forecast': ('load_forecast',),
     'taxinet_ros.api.fork': ('fork',),
-    'taxinet_ros.api.odd': ('odd_coverage',),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
     'taxinet_ros.api.search': ('estimate', 'falsify'),
     'taxinet_ros.bag.errors': ('BagError',),

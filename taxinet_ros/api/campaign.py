@@ -1,15 +1,15 @@
-"""Reads a campaign's folder: its runs, counterexamples and failure rates."""
+"""Campaigns from Python: runs, counterexamples, rates, comparisons, and coverage of an ODD."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taxinet_ros.arguments import NONE, PATH, takes
+from taxinet_ros.arguments import FINITE, NONE, PATH, WORD, Kind, takes
 from taxinet_ros.bag.layout import STORAGE_ID, holds_bag
 from taxinet_ros.bag.run import recording
 from taxinet_ros.bag.run.recording import Recording
@@ -27,7 +27,12 @@ from taxinet_ros.trials.stress import LikeliestFailure, likeliest_failure
 if TYPE_CHECKING:
     import pandas as pd
 
+    from taxinet_ros.analysis.campaign.compared import Compared
+    from taxinet_ros.analysis.odd.coverage import OddCoverage
     from taxinet_ros.api.plots import Plot
+
+_PATHS = PATH | Kind('a list of paths', lambda value: isinstance(value, list | tuple) and bool(
+    value) and all(PATH.has(one) for one in value))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -218,3 +223,61 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
             'in it'
         )
     return recording.open_recording(folder)
+
+
+@takes(before=PATH, after=PATH)
+def compare(before: str | os.PathLike[str], after: str | os.PathLike[str]) -> Compared:
+    """Compare two campaigns, scene by scene, as ``taxinet compare`` does.
+
+    Args:
+        before: folder of a campaign, or a table of one.
+        after: the same of the second network.
+
+    Returns:
+        ``.satisfied`` (counts of the pairs, their ``difference`` with its 95 % interval and the
+        ``p_value`` of McNemar's exact test, valid if ``.tested``), ``.scenes`` (a row per scene),
+        and the causes of what got ``.better`` and ``.worse``.
+
+    Raises:
+        UsageError: they have no scene in common, or are judged by different requirements.
+    """
+    from taxinet_ros.analysis.campaign.compared import compared
+    from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+
+    first = read_runs(Path(before))
+    return compared(*distinct_labels([first, read_runs(Path(after), first.spec)]))
+
+
+@takes(campaigns=_PATHS, odd=PATH, spec=NONE | WORD, below=NONE | FINITE)
+def odd_coverage(
+    campaigns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    odd: str | os.PathLike[str], *, spec: str | None = None, below: float | None = None,
+) -> OddCoverage:
+    """Measure what campaigns cover of an operational design domain, as ``taxinet odd`` does.
+
+    Args:
+        campaigns: folder or table of a campaign, or several, of one system.
+        odd: name of a shipped ODD, or its YAML file.
+        spec: formula that defines failure; None for the headline.
+        below: also count the combinations of cells that fail less often than this share, at 95 %.
+
+    Returns:
+        ``.inside``, ``.outside``, the runs and rate of each of the ``.cells``, ``.strengths``
+        (combinations of 1, 2 and 3 cells: ``feasible``, ``covered``), ``.gaps``.
+
+    Raises:
+        UsageError: a mistake in the ODD, campaigns that cannot be counted together, or a limit
+            that is no share.
+    """
+    from taxinet_ros.analysis.odd import coverage
+    from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+    from taxinet_ros.trials.odd.odd_file import find_odd, read_odd
+
+    if below is not None and not 0 < below < 1:
+        raise UsageError(f'below={below:g}: needs to be a share above 0 and below 1')
+    several = [campaigns] if isinstance(campaigns, str | os.PathLike) else campaigns
+    first = read_runs(Path(several[0]), spec)
+    runs = [first, *(read_runs(Path(one), first.spec) for one in several[1:])]
+    return coverage.odd_coverage(
+        read_odd(find_odd(os.fspath(odd))), distinct_labels(runs), limit=below
+    )

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.errors import BagCorrupt, BagError
 from taxinet_ros.bag.reader import BagInfo, read_info, stored_messages
-from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, SCENARIO, TF, is_topic
+from taxinet_ros.bag.run.topics import IMAGE, SCENARIO, is_topic
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, qos_profiles
 from taxinet_ros.core import topics
@@ -68,33 +68,20 @@ def window(info: BagInfo, start_offset_s: float, duration_s: float) -> Window:
     return Window(start_ns, end_ns)
 
 
-def without_transforms(info: BagInfo) -> dict[str, str]:
-    """Odometry topics without ``tf``, as of ``taxinet bag split``: namespace by topic name."""
-    recorded = {topic.name for topic in info.topics}
-    places = {
-        topic.name: topic.name.removesuffix(ODOMETRY) for topic in info.topics
-        if is_topic(topic.name, ODOMETRY) and topic.type == topics.ODOMETRY.type_name
-    }
-    return {name: place for name, place in places.items() if place + TF not in recorded}
-
-
-def known_topics(
-    info: BagInfo, names: Collection[str], parameter: str, made: Collection[str] = ()
-) -> frozenset[str]:
+def known_topics(info: BagInfo, names: Collection[str], parameter: str) -> frozenset[str]:
     """Full names of the topics listed in a parameter, with or without leading slash.
 
     Args:
         info: table of contents of the bag.
         names: value of the parameter.
         parameter: its name.
-        made: topics that the player derives from others.
 
     Raises:
         UsageError: the bag has no such topic.
     """
     recorded = {topic.name for topic in info.topics}
     wanted = frozenset('/' + name.lstrip('/') for name in names if name)
-    for name in sorted(wanted - recorded - {*made}):
+    for name in sorted(wanted - recorded):
         frames = name == f'/{IMAGE}'
         known = 'add the frames with taxinet bag render' if frames else (
             f'it has {", ".join(sorted(recorded))}'
@@ -240,13 +227,13 @@ class Playback:
         self.rate, self._clock, self._on_unfit = rate, clock, on_unfit
         self._unfit: set[str] = set()
         self._paused_s: float | None = None
-        self.seek(part)
-
-    def seek(self, part: Window) -> None:
-        """Go on with the start of a window."""
         self.part = part
+        self.begin()
+
+    def begin(self) -> None:
+        """Go on with the start of the window."""
         self._portions = portions(
-            self._info.path, self._checks.keys(), part, self._latched, self._info.back_ns
+            self._info.path, self._checks.keys(), self.part, self._latched, self._info.back_ns
         )
         self._next = next(self._portions, None)
         self._origin_s: float | None = None

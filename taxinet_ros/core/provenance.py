@@ -30,7 +30,7 @@ COMMIT = 'commit'
 
 LIBRARIES = (
     'numpy', 'opencv-python-headless', 'onnxruntime', 'jsbsim', 'astral', 'pymap3d', 'scenic',
-    'torch', 'scipy', 'optuna', 'scikit-learn', 'pandas', 'rclpy', 'ros-fastrtps', 'zstandard',
+    'torch', 'scipy', 'optuna', 'pandas', 'rclpy', 'ros-fastrtps', 'zstandard',
 )
 """Names of installed packages. Some affect only trained or learned parts of a result; the last
 affects only the bytes of a bag."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock as RclClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
@@ -18,14 +17,8 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.playback import (
-    Playback,
-    known_topics,
-    open_bag,
-    window,
-    without_transforms,
-)
-from taxinet_ros.bag.run.topics import TF, is_of_frames
+from taxinet_ros.bag.playback import Playback, known_topics, open_bag, window
+from taxinet_ros.bag.run.topics import is_of_frames
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes import interface
@@ -54,8 +47,7 @@ USAGE = Usage(
         ),
         Parameter(
             name='start_offset', default=0.0, limits=(0.0, 1e9),
-            description='start offset in the recording [s]; set while it plays, it goes on there',
-            settable=True,
+            description='start offset in the recording [s]',
         ),
         Parameter(
             name='playback_duration', default=0.0, limits=(0.0, 1e9),
@@ -105,10 +97,8 @@ class BagPlayer(Node):
         self._loop = given['loop']
         self._patience_s = given['wait_timeout']
         self._info = open_bag(given['bag'])
-        self._duration_s = given['playback_duration']
-        part = window(self._info, given['start_offset'], self._duration_s)
-        made = {place + TF for place in without_transforms(self._info).values()}
-        excluded = known_topics(self._info, given['exclude'], 'exclude', made)
+        part = window(self._info, given['start_offset'], given['playback_duration'])
+        excluded = known_topics(self._info, given['exclude'], 'exclude')
         self._awaited = known_topics(self._info, given['wait_for'], 'wait_for')
         for name in sorted(self._awaited & excluded):
             raise UsageError(
@@ -126,7 +116,6 @@ class BagPlayer(Node):
             rate=given['rate'], clock=time.monotonic,
             on_unfit=lambda line: self.get_logger().warning(line),
         )
-        self.add_on_set_parameters_callback(self._on_set)
         self.create_service(SetBool, '~/pause', self._on_pause)
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
@@ -207,7 +196,7 @@ class BagPlayer(Node):
             if portion is not None:
                 self._playback.delay(self._topics.publish(portion))
         if self._playback.over and self._loop:
-            self._playback.seek(self._playback.part)
+            self._playback.begin()
         elif self._playback.over:
             self._topics.deliver()
             self.get_logger().info(
@@ -219,15 +208,6 @@ class BagPlayer(Node):
         self._playback.pause(request.data)
         answer.success, answer.message = True, 'paused' if request.data else 'playing'
         return answer
-
-    def _on_set(self, parameters: list[Any]) -> SetParametersResult:
-        for one in parameters:
-            if one.name == 'start_offset':
-                try:
-                    self._playback.seek(window(self._info, one.value, self._duration_s))
-                except UsageError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
 
 
 def main() -> None:

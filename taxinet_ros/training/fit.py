@@ -55,9 +55,6 @@ class Recipe:
         batch: pictures per step; an incomplete last batch is skipped in that epoch.
         learning_rate: maximum learning rate.
         seed: seed of the initial weights, of the order of the pictures, and of their augmentation.
-        patience: epochs without a better validation loss after which to stop; 0 means never. The
-            learning rate falls until the last epoch and most of the gain comes with its fall, so
-            stopping early saves time at the cost of accuracy.
         augmented: whether every picture is augmented in each epoch.
         mirrored: whether half of the pictures are mirrored, with their errors, in each epoch; for
             pictures of an eye, which has no side.
@@ -69,7 +66,6 @@ class Recipe:
     batch: int
     learning_rate: float
     seed: int
-    patience: int = 0
     augmented: bool = False
     mirrored: bool = False
     device: str = 'cpu'
@@ -135,7 +131,7 @@ def fit(
             history = [Epoch(**epoch) for epoch in before['history']]
             best, weights = before['best'], {k: v.numpy() for k, v in before['weights'].items()}
             trainer.restore(before['state'])
-        while len(history) < recipe.epochs and not 0 < recipe.patience <= len(history) - best:
+        while len(history) < recipe.epochs:
             number = len(history) + 1
             history.append(trainer.epoch(number))
             if number == 1 or history[-1].validation_loss < history[best - 1].validation_loss:

@@ -24,7 +24,6 @@ _LIMITS: dict[str, tuple[float, float]] = {
     'epochs': (1, 10_000),
     'batch': (1, 65_536),
     'learning_rate': (1e-8, 1.0),
-    'patience': (0, 10_000),
     'seed': (0, 2**63 - 1),
     'workers': (1, 256),
 }
@@ -69,7 +68,6 @@ class TrainOptions:
         epochs: number of passes over all pictures.
         batch: pictures per step.
         learning_rate: maximum of the one-cycle schedule.
-        patience: epochs without a better validation loss after which to stop; 0 means never.
         seed: seed of everything random.
         device: where the network is trained, of :data:`DEVICES`; weights depend on it.
         workers: number of rendering processes, and of threads that read and augment; results do
@@ -100,7 +98,6 @@ class TrainOptions:
     epochs: int = 20
     batch: int = 64
     learning_rate: float = 3e-3
-    patience: int = 0
     seed: int = 1
     device: str = 'cpu'
     workers: int = 2
@@ -234,8 +231,7 @@ class TrainOptions:
     def _numbers(self) -> list[str]:
         names = [] if self.data else ['images']
         names += ['validation'] if self.validation_data is None else []
-        names += ['epochs', 'batch', 'learning_rate']
-        return [*names, *(['patience'] if self.patience else []), 'seed']
+        return [*names, 'epochs', 'batch', 'learning_rate', 'seed']
 
     @property
     def curves_path(self) -> Path:

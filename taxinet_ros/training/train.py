@@ -323,7 +323,7 @@ def _write(
         epochs=options.epochs,
         batch=options.batch,
         learning_rate=options.learning_rate,
-        patience=options.patience,
+        patience=0,
         best_epoch=fitted.best_epoch,
         errors=_measure(options, fitted.weights, material.validation),
         weights_sha256=digest(data),
@@ -365,7 +365,7 @@ def _fit(
 
     recipe = Recipe(
         epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate,
-        seed=options.seed, patience=options.patience, augmented=options.augment,
+        seed=options.seed, augmented=options.augment,
         mirrored=options.augment and options.view is not None, device=options.device,
         workers=options.workers,
     )

@@ -6,11 +6,9 @@ import json
 import math
 
 import arch
-import arch_models
 import numpy as np
 import pytest
 from arch_models import _slopes, automatic_transmission, chasing_cars
-from scipy.optimize import dual_annealing
 
 FULL = (1 - 1e-16, 0.0)
 IDLE = (0.0, 0.0)
@@ -45,15 +43,6 @@ def test_given_the_car_at_rest_then_its_slopes_are_those_by_hand() -> None:
     assert wheels == pytest.approx(3.23 * 2.393 * 2.232 * impeller / 12.09414785731247)
 
 
-def test_given_each_throttle_together_then_simulations_are_those_of_each_alone() -> None:
-    inputs = np.random.default_rng(0).random((3, 7, 2)) * (100, 325)
-    _, together = automatic_transmission(inputs, 3.0)
-    for number, each in enumerate(inputs):
-        _, alone = automatic_transmission(each[None], 3.0)
-        for name, values in alone.items():
-            np.testing.assert_array_equal(values[0], together[name][number])
-
-
 def test_given_constant_throttle_then_the_first_two_cars_are_as_by_hand() -> None:
     stamps_ns, signals = chasing_cars(constant(20, 1.0, 0.0))
     since_s = stamps_ns / 1e9
@@ -74,29 +63,6 @@ def test_given_any_brake_then_the_first_car_solves_its_equation(brake) -> None:
     np.testing.assert_allclose(signals['y1'][0], exact, rtol=1e-6, atol=1e-6)
 
 
-def test_given_followers_then_each_change_of_mode_is_at_its_distance() -> None:
-    inputs = np.random.default_rng(1).random((20, 20, 2))
-    _, signals = chasing_cars(inputs)
-    apart = signals['y2'] - signals['y1']
-    assert apart.min() > 5 - 0.05, 'who keeps brakes at 5, and braking lets the first one go'
-    assert apart.max() > 15, 'some chase'
-
-
-@pytest.mark.nightly
-def test_given_a_tenth_of_the_step_then_hardly_any_verdict_on_the_cars_changes(monkeypatch) -> None:
-    points = np.random.default_rng(1).random((150, arch.CC.size))
-    points[::3] = np.round(points[::3])
-    names = [name for name, (model, *_) in arch.FORMULAS.items() if model is arch.CC]
-    asked = names * len(points), points.repeat(len(names), axis=0)
-    usual = np.array(arch.rhos(*asked))
-    monkeypatch.setattr(arch_models, '_CARS_STEP_S', arch_models._CARS_STEP_S / 10)
-    monkeypatch.setattr(arch_models, '_CARS_KEPT', arch_models._CARS_KEPT * 10)
-    finer = np.array(arch.rhos(*asked))
-    assert len(usual) == 900
-    assert ((usual < 0) != (finer < 0)).sum() <= 2
-    assert np.median(abs(usual - finer)) < 0.001
-
-
 @pytest.mark.parametrize(('inputs', 'expected'), [
     (FULL, {'AT1': 120 - 120.21327149261522, 'AT2': 4750 - 4768.277187862124}),
     (IDLE, {'CC1': 40 - 10, 'CC2': 10 - 15, 'CC4': 10 - 8, 'CCx': 10 - 7.5}),
@@ -104,41 +70,6 @@ def test_given_a_tenth_of_the_step_then_hardly_any_verdict_on_the_cars_changes(m
 def test_given_a_known_simulation_then_formulas_have_its_robustness(inputs, expected) -> None:
     found = arch.rhos(list(expected), [point(name, *inputs) for name in expected])
     assert found == pytest.approx(list(expected.values()), rel=1e-9)
-
-
-def test_given_drawn_inputs_then_some_change_gears_too_soon() -> None:
-    points = np.random.default_rng(0).random((15, arch.AT.size))
-    names = [f'AT5{gear}' for gear in range(1, 5)]
-    found = arch.rhos(names * 15, points.repeat(4, axis=0))
-    by_gear = np.array(found).reshape(15, 4)
-    assert set(found) == {-0.5, 0.5}
-    assert (by_gear[:, :3] < 0).any(axis=0).all()
-
-
-def test_given_annealing_then_its_points_are_those_of_scipy() -> None:
-    def far(point) -> float:
-        return float(np.square(np.asarray(point) - 0.3).sum())
-
-    expected: list[list[float]] = []
-
-    def noted(point) -> float:
-        expected.append(point.tolist())
-        return far(point)
-
-    dual_annealing(noted, [(0, 1)] * 3, rng=5, no_local_search=True, maxfun=40)
-    search, found = arch.Annealing(3, 5), []
-    for _ in range(40):
-        index, asked = search.next()
-        search.tell(index, far(asked))
-        found.append(list(asked))
-    assert found == expected[:40]
-    assert len({tuple(each) for each in found}) > 30
-
-
-def test_given_corners_then_every_other_point_is_one() -> None:
-    search = arch.Corners(8, 0)
-    points = [search.next()[1] for _ in range(6)]
-    assert [set(each) <= {0.0, 1.0} for each in points] == [True, False] * 3
 
 
 @pytest.mark.nightly
@@ -156,12 +87,3 @@ def test_given_words_then_each_search_has_a_line_that_a_single_search_confirms(c
     search = arch.Corners(arch.AT.size, 1)
     rhos = arch.rhos(['AT2'] * 9, [search.next()[1] for _ in range(9)])
     assert found[1] == next((run + 1 for run, each in enumerate(rhos) if each < 0), None)
-
-
-def test_given_counts_then_figures_are_those_of_the_searches_that_falsified() -> None:
-    figures = arch._figures([10, None, 20, 60])
-    assert (figures['falsified'], figures['mean'], figures['median']) == (3, 30, 20)
-    assert 10 <= figures['mean_interval'][0] < 30 < figures['mean_interval'][1] <= 60
-    none = arch._figures([None] * 30)
-    assert none['falsified'] == 0
-    assert none['rate'] == pytest.approx([0, 1 - 0.025 ** (1 / 30)])

@@ -33,7 +33,7 @@ BAGS = Path(__file__).resolve().parents[2] / 'bags'
 BAG = str(BAGS / 'golden' / 'truth-nominal')
 OUTPUT_FILES = {
     'aircraft --out', 'assure calibrate --out', 'bag export --out',
-    'camera --out', 'camera --yaml', 'check-node --log',
+    'camera --out', 'camera --yaml',
     'forecast calibrate --out', 'forecast show --plot', 'frame --out', 'gate --junit',
     'monitor --plot', 'network from-nnet --out', 'network see --out', 'odd --plot',
     'odd --out', 'place --out', 'place --yaml', 'train --out',
@@ -87,7 +87,7 @@ def test_given_all_commands_then_the_options_that_write_a_file_are_known_and_che
     paths = {
         f'{name} {max(param.opts, key=len)}' for name, command in COMMANDS.items()
         for param in command.params if max(param.opts, key=len) in (
-            '--out', '--plot', '--junit', '--log', '--yaml') and 'path' in str(
+            '--out', '--plot', '--junit', '--yaml') and 'path' in str(
             param.type_descriptor.annotation).lower()
     }
     checked = {
@@ -117,11 +117,10 @@ GATE = ('gate', 'c', '--min-satisfaction', '0.3', '--junit')
 MONITOR = ('monitor', BAG, '--plot')
 FORECAST = ('forecast', 'calibrate', 'c', '--out')
 EXPORT = ('odd', 's_falsif', '--out')
-LOG = ('check-node', 'true', '--log')
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize('words', [GATE, MONITOR, FORECAST, EXPORT, LOG])
+@pytest.mark.parametrize('words', [GATE, MONITOR, FORECAST, EXPORT])
 @pytest.mark.parametrize('name', [
     'campaign.db', 'runs.csv', 'runs.parquet', 'learned.json', 'record-of-may',
     'forecast', 'run/metadata.yaml', 'run/truth-nominal.mcap', 'run/new.mcap',
@@ -143,7 +142,7 @@ def test_given_a_record_in_the_place_of_an_output_then_it_is_refused_and_nothing
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize('words', [GATE, FORECAST, EXPORT, LOG, MONITOR])
+@pytest.mark.parametrize('words', [GATE, FORECAST, EXPORT, MONITOR])
 def test_given_a_pipe_in_the_place_of_an_output_then_it_is_refused_and_stays(
     campaign, words, capsys
 ):

@@ -13,7 +13,6 @@ import pytest
 from graph_runs import parameters, spin, start_node
 from mcap.writer import Writer
 from playing import listening, make_player, playing
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
@@ -248,17 +247,3 @@ def test_what_is_no_message_of_its_topics_type_is_skipped_with_one_line_each(tmp
         'Invalid or unsupported CDR encapsulation.',
     ]
     assert any(line.startswith('played 12 messages') for line in lines)
-
-
-def test_a_start_offset_that_is_set_while_it_plays_is_where_it_goes_on(bag):
-    odometry = interface.ODOMETRY
-    with (
-        listening(odometry) as (listener, executor, context),
-        playing(context, executor, bag, rate=10.0, wait_for=[odometry.name]) as player,
-    ):
-        (refused,) = player.set_parameters([Parameter('start_offset', value=99.0)])
-        assert (refused.successful, 'is 2 s long' in refused.reason) == (False, True)
-        (taken,) = player.set_parameters([Parameter('start_offset', value=1.5)])
-        assert taken.successful
-        assert player.play(executor) == 0
-        spin(executor, lambda: len(listener.heard[odometry.name]) == 6)

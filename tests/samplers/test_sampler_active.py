@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import Matern
 
 from taxinet_ros.samplers.active_search import (
     PATIENCE,
@@ -88,7 +86,23 @@ def test_given_more_results_than_the_window_when_told_then_the_lone_ones_stay() 
     assert 0 in sampler._window
 
 
-def test_given_results_when_predicted_then_scikit_learn_says_the_same() -> None:
+def matern(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Covariance of smoothness 3/2 (Rasmussen and Williams 2006, equation 4.17)."""
+    distance = math.sqrt(3) * np.linalg.norm(one[:, None] - other, axis=2)
+    return (1 + distance) * np.exp(-distance)
+
+
+def regression(
+    known: np.ndarray, results: np.ndarray, noise: float, asked: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation of a process of mean zero (the same, equations 2.25 and 2.26)."""
+    between = matern(known, asked)
+    weights = np.linalg.solve(matern(known, known) + noise * np.eye(len(known)), between)
+    variance = 1 - (weights * between).sum(axis=0)
+    return weights.T @ results, np.sqrt(variance)
+
+
+def test_given_results_when_predicted_then_the_formulas_of_the_book_say_the_same() -> None:
     features = Features(SPACE)
     chance = np.random.default_rng(0)
     known, asked = features.of(chance.random((40, 3))), features.of(chance.random((25, 3)))
@@ -100,17 +114,14 @@ def test_given_results_when_predicted_then_scikit_learn_says_the_same() -> None:
     assert x < 1 < y
     scales, noise = np.array([x, kind, kind, y]), math.exp(process._logs[-1])
 
-    kernel = Matern(scales, nu=1.5)
-    covariance = kernel(known) + noise * np.eye(40)
+    covariance = matern(known / scales, known / scales) + noise * np.eye(40)
     ones = np.linalg.solve(covariance, np.ones(40))
     level = ones @ results / ones.sum()
     off = results - level
     variance = off @ np.linalg.solve(covariance, off) / 40
-    model = GaussianProcessRegressor(kernel, alpha=noise, optimizer=None).fit(known, off)
-    with_others = GaussianProcessRegressor(kernel, alpha=noise, optimizer=None).fit(
-        np.vstack((known, others)), np.append(off, model.predict(others))
-    )
-    mean, deviation = with_others.predict(asked, return_std=True)
+    imagined, _ = regression(known / scales, off, noise, others / scales)
+    mean, deviation = regression(
+        np.vstack((known, others)) / scales, np.append(off, imagined), noise, asked / scales)
 
     found = process.conditioned(known, results, others)(asked)
     np.testing.assert_allclose(found[0], mean + level, rtol=1e-4, atol=1e-4)

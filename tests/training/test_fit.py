@@ -101,11 +101,6 @@ def test_given_an_epoch_that_was_better_when_fitted_then_its_weights_are_kept() 
     errors = absolute_errors(TaxiNet(ARCHITECTURE, result.weights), opposed).mean(axis=0)
     assert (best.cte_mae_m, best.he_mae_deg) == pytest.approx((errors[0], np.degrees(errors[1])))
 
-    impatient = dataclasses.replace(RECIPE, epochs=8, patience=1)
-    stopped = fit(ARCHITECTURE, TRAINING, opposed, impatient)
-    assert stopped.best_epoch <= result.best_epoch
-    assert stopped.history == result.history[: stopped.best_epoch + 1]
-
 
 @pytest.mark.parametrize('images', [16, 48, 80, 96])
 def test_given_few_steps_in_all_when_fitted_then_every_epoch_is_done(images: int) -> None:

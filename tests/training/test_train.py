@@ -97,14 +97,14 @@ def test_given_a_folder_to_measure_on_when_trained_then_nothing_is_held_back(
 ) -> None:
     one, two, other = (foreign_folder(tmp_path / name, images=4) for name in ('a', 'b', 'c'))
     out = tmp_path / 'net.safetensors'
-    card = train(from_data(out, one, two, validation_data=other, augment=True, patience=1))
+    card = train(from_data(out, one, two, validation_data=other, augment=True))
     assert (card.images, card.validation) == (8, 4)
     assert [data.name for data in card.training_data] == ['a', 'b']
     assert [data.name for data in card.validation_data] == ['c']
-    assert (card.augment, card.patience) == (True, 1)
+    assert card.augment
     assert card.command_line == (
         f'taxinet train {one} {two} --validation-data {other} --augment --epochs 2 --batch 4 '
-        '--learning-rate 0.003 --patience 1 --seed 7 --out net.safetensors'
+        '--learning-rate 0.003 --seed 7 --out net.safetensors'
     )
     assert load_model(out).card == card
 
@@ -304,7 +304,7 @@ def test_given_no_gpu_when_trained_on_one_then_refused_before_any_picture(
     'change',
     [
         {'images': 0}, {'validation': 0}, {'epochs': 0}, {'batch': 0}, {'batch': 13},
-        {'learning_rate': 0.0}, {'learning_rate': float('nan')}, {'patience': -1},
+        {'learning_rate': 0.0}, {'learning_rate': float('nan')},
         {'seed': -1}, {'workers': 0},
     ],
 )  # fmt: skip

@@ -137,22 +137,6 @@ def test_a_folder_of_something_else_in_the_place_of_the_unfinished_one_is_kept(
 
 
 @pytest.mark.nightly
-def test_a_training_that_patience_has_ended_does_not_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = options(tmp_path / 'net.safetensors', patience=1, epochs=50, learning_rate=0.9)
-    stopped = train(dataclasses.replace(asked, out=tmp_path / 'whole.safetensors'))
-    assert stopped.best_epoch < 49
-    monkeypatch.setattr(training, 'save_model', lambda *written: (_ for _ in ()).throw(OSError(
-        errno.ENOSPC, 'No space left on device', 'net.safetensors')))
-    with pytest.raises(RecordError, match=r'net.safetensors: .*No space.*then resume it'):
-        train(asked)
-    monkeypatch.undo()
-    monkeypatch.setattr(fitting._Trainer, 'epoch', None)
-    assert train(dataclasses.replace(asked, resume=True)).weights_sha256 == stopped.weights_sha256
-
-
-@pytest.mark.nightly
 def test_a_damaged_picture_is_rendered_again(
     undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

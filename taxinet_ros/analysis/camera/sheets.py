@@ -1,16 +1,19 @@
-"""Contact sheets: camera pictures with captions, and scenes by hour and weather."""
+"""Camera pictures with captions, scenes by hour and weather, and what a network sees."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
 from PIL import Image
@@ -21,6 +24,9 @@ from taxinet_ros.core.place.catalogue import find_place
 from taxinet_ros.core.renderer import OURS, find_renderer
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import along_words, clock_words
+
+if TYPE_CHECKING:
+    from taxinet_ros.core.perception.onnx.network import OnnxNetwork
 
 Picture = NDArray[np.uint8]
 DESCRIBED = Path(__file__).with_name('described.j2')
@@ -212,3 +218,54 @@ def pose_words(scene: Scenario) -> str:
         f'{human["distance_m"]:.0f} m {along_words(scene.track)}, '
         f'CTE {human["cross_track_m"]:+.1f} m, heading {human["heading_deg"]:+.0f}°'
     )
+
+
+def draw_network_view(network: OnnxNetwork, name: str, scene: Scenario, path: Path) -> str:
+    """Draw the first frame of a scene, with what a network uses of it, and beside it its input.
+
+    Args:
+        network: the network.
+        name: of its file.
+        scene: the scene.
+        path: PNG file to write.
+
+    Returns:
+        Truth and answer, a line each.
+    """
+    from taxinet_ros.core.perception.eye import find_eye
+    from taxinet_ros.core.perception.network import usual_frame
+    from taxinet_ros.core.perception.onnx.network import prepare
+
+    sidecar, seen = network.sidecar, scene_picture(scene)
+    frame = usual_frame(seen)
+    seen = frame if sidecar.picture.view is None else find_eye(
+        sidecar.picture.view, scene.rig).see(seen)
+    picture = prepare(seen, sidecar)[0]
+    if sidecar.picture.layout == 'nchw':
+        picture = picture.transpose(1, 2, 0)
+    picture = picture.reshape((sidecar.picture.height, sidecar.picture.width, -1))
+    truth = _errors(scene.cross_track_m, scene.heading_rad)
+    answer = _errors(*network.look(seen))
+    figure = Figure(figsize=(11.0, 3.4), dpi=100, layout='constrained')
+    before, after = figure.subplots(1, 2)
+    before.imshow(frame)
+    left, top, right, bottom = sidecar.picture.crop
+    before.add_patch(Rectangle(
+        (left - 0.5, top - 0.5), right - left, bottom - top, fill=False, edgecolor='orange',
+        linewidth=1.5,
+    ))
+    before.set_title('the frame, and what is used of it')
+    low, high = float(picture.min()), float(picture.max())
+    shown = (picture - low) / max(high - low, 1e-6)
+    after.imshow(shown[..., 0] if shown.shape[2] == 1 else shown, cmap='gray')
+    height, width = shown.shape[:2]
+    after.set_title(f'the input: {width} x {height}, {low:.2f} (black) to {high:.2f} (white)')
+    for axes in (before, after):
+        axes.set(xticks=[], yticks=[])
+    figure.suptitle(f'truth: {truth}; {name}: {answer}')
+    figure.savefig(path, format='png', metadata={'Software': None})
+    return f'truth {truth}\nanswer {answer}'
+
+
+def _errors(cte_m: float, he_rad: float) -> str:
+    return f'CTE {cte_m:+.2f} m, HE {math.degrees(he_rad):+.1f} deg'

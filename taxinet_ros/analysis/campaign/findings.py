@@ -1,6 +1,6 @@
 """Findings of an analysis of a campaign.
 
-Causes, groups and predictors of its failures, comparisons with baselines (rates, their
+Causes and predictors of its failures, comparisons with baselines (rates, their
 difference, and runs that changed in the same scenes), and which failed runs to look at first.
 """
 
@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.causes.causes import Causes, find_causes
-from taxinet_ros.analysis.causes.clusters import Clusters, find_clusters
 from taxinet_ros.analysis.causes.predictors import RankedFeature, rank_features
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import (
@@ -173,7 +172,7 @@ class Findings:
         runs: runs of the campaign.
         alpha: significance level of the causes.
         ranking: features by how well they predict failure.
-        causes, clusters: analyses of the failures.
+        causes: of the failures.
         comparisons: with the baselines, in their order.
     """
 
@@ -181,7 +180,6 @@ class Findings:
     alpha: float
     ranking: tuple[RankedFeature, ...]
     causes: Causes
-    clusters: Clusters
     comparisons: tuple[BaselineComparison, ...]
 
     @property
@@ -206,21 +204,18 @@ def analyse(
     ranking = rank_features(runs.frame)
     on_progress('causes')
     causes = find_causes(runs, alpha)
-    on_progress('clusters')
-    telling = [one.feature.name for one in ranking if one.p <= alpha]
-    clusters = find_clusters(runs.frame, telling)
     return Findings(
-        runs=runs, alpha=alpha, ranking=ranking, causes=causes, clusters=clusters,
+        runs=runs, alpha=alpha, ranking=ranking, causes=causes,
         comparisons=tuple(compare(runs, baseline, causes) for baseline in baselines),
     )
 
 
-CAUSE, GROUP = 'cause', 'group'
+CAUSE = 'cause'
 _NONE = 0
 
 
 def explained_runs(findings: Findings) -> pd.DataFrame:
-    """All judged runs with the cause and the group of each failure, 0 for none.
+    """All judged runs with the cause of each failure, 0 for none.
 
     A failure in several causes has the number of the first.
     """
@@ -229,28 +224,22 @@ def explained_runs(findings: Findings) -> pd.DataFrame:
     for found in reversed(findings.causes.found):
         cause[found.region.mask(frame)] = found.rank
     frame[CAUSE] = np.where(frame['failed'], cause, _NONE)
-    group = {run: one.number for one in findings.clusters.found for run in one.runs}
-    frame[GROUP] = frame['run_id'].map(lambda run: group.get(run, _NONE)).astype(int)
     return frame
 
 
 def failures_to_inspect(findings: Findings) -> pd.DataFrame:
     """The failures in order of inspection, as :func:`explained_runs` has them.
 
-    First the most typical run of each group, then the worst one of each cause, then the second
-    worst of each, and so on; so the first few show all kinds of failures.
+    First the worst one of each cause, then the second worst of each, and so on; so the first few
+    show all kinds of failures.
     """
     frame = explained_runs(findings)
     failures = frame[frame['failed']].sort_values(['rho', 'index'], kind='stable')
-    typical = [one.typical for one in findings.clusters.found]
-    first = failures['run_id'].isin(typical)
-    others = failures[~first]
     # Failures without a cause come after the causes in each round.
-    rank = others[CAUSE].replace(_NONE, len(findings.causes.found) + 1)
-    others = others.assign(turn=others.groupby(CAUSE).cumcount(), rank=rank)
-    others = others.sort_values(['turn', 'rank'], kind='stable').drop(columns=['turn', 'rank'])
-    ordered = failures[first].set_index('run_id', drop=False).loc[typical]
-    return pd.concat([ordered, others], ignore_index=True)
+    rank = failures[CAUSE].replace(_NONE, len(findings.causes.found) + 1)
+    failures = failures.assign(turn=failures.groupby(CAUSE).cumcount(), rank=rank)
+    ordered = failures.sort_values(['turn', 'rank'], kind='stable', ignore_index=True)
+    return ordered.drop(columns=['turn', 'rank'])
 
 
 def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mapping[str, Path]:

@@ -49,12 +49,6 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
         'causes_why_not': findings.causes.why_not,
         'causes_searched': findings.causes.searched, 'scenes_again': findings.causes.again,
         'outside_causes': findings.causes.rest, 'candidates': findings.causes.candidates,
-        'clusters': [
-            {'number': one.number, 'failures': one.failures, 'share': one.share,
-             'words': one.words(), 'region': one.common.parts, 'typical_run': one.typical,
-             'median_rho': one.median_rho} for one in findings.clusters.found
-        ],
-        'silhouette': findings.clusters.silhouette if findings.clusters.found else None,
         'baselines': [_baseline(one) for one in findings.comparisons],
         'runs_to_look_at': report.runs,
     })
@@ -176,7 +170,7 @@ def _begin(out: Path) -> None:
 
 
 def _write_runs(findings: Findings, out: Path) -> None:
-    """All judged runs with cause and group, as CSV and Parquet."""
+    """All judged runs with their causes, as CSV and Parquet."""
     frame = explained_runs(findings)
     make_atomically(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
     write_parquet(out / PARQUET_NAME, frame)

@@ -17,12 +17,10 @@ from taxinet_ros.analysis.campaign.findings import Findings, bag_folders, failur
 from taxinet_ros.analysis.campaign.tables import (
     bins_table,
     causes_table,
-    clusters_table,
     failures_table,
     ranking_table,
     rates_table,
 )
-from taxinet_ros.analysis.causes.clusters import CLEAR
 from taxinet_ros.analysis.causes.program import confirmation_command, why_no_program
 from taxinet_ros.analysis.causes.scan import DISCOUNT, SHUFFLES
 from taxinet_ros.analysis.report.parts import Picture, Report, Table
@@ -39,20 +37,17 @@ from taxinet_ros.core.provenance import differences, words
 
 TEXT = Path(__file__).with_name('page.j2')
 VIEWERS = 20
-_WEAK = 0.25
-"""Silhouette below which groups are hardly apart."""
+"""Most failed runs that the page has step by step."""
 
 
-def campaign_report(findings: Findings, *, viewers: int = VIEWERS) -> Report:
+def campaign_report(findings: Findings) -> Report:
     """Present findings as sentences, tables and pictures.
 
     Args:
         findings: result of :func:`~taxinet_ros.analysis.campaign.findings.analyse`.
-        viewers: maximum number of failed runs to include step by step.
     """
     runs, failures = findings.runs, failures_to_inspect(findings)
     shown = min(len(failures), 2 * VIEWERS)
-    apart = findings.clusters.silhouette
     commands = [confirmation_command(runs, cause) for cause in findings.causes.found]
     specs = runs.facts.get('specs')
     return fill_report(
@@ -69,10 +64,9 @@ def campaign_report(findings: Findings, *, viewers: int = VIEWERS) -> Report:
             'discount': DISCOUNT, 'shuffles': SHUFFLES,
             'commands': [command for command in commands if command is not None],
             'no_program': why_no_program(runs), 'failed': len(failures), 'shown': shown,
-            'apart': 'clearly' if apart >= CLEAR else 'weakly' if apart >= _WEAK else 'hardly',
         },
         _figures(findings, failures, shown),
-        **_worst_first(bag_folders(runs, failures, viewers), failures),
+        **_worst_first(bag_folders(runs, failures, VIEWERS), failures),
         made_on='; '.join(map(words, runs.stacks)),
     )
 
@@ -91,8 +85,7 @@ def _figures(
         causes += [causes_picture(findings), causes_table(findings, failures)]
     if findings.ranking:
         causes.append(ranking_table(findings))
-    groups = [clusters_table(findings)] if findings.clusters.found else []
-    found |= {'causes': causes, 'clusters': groups}
+    found['causes'] = causes
     if shown:
         found['counterexamples'] = (failures_table(failures, shown),)
     return found

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from taxinet_ros.analysis.campaign.findings import CAUSE, GROUP, Findings
+from taxinet_ros.analysis.campaign.findings import CAUSE, Findings
 from taxinet_ros.analysis.causes.causes import FoundRate
 from taxinet_ros.analysis.report.parts import Cell, Column, Table
 from taxinet_ros.analysis.runs.bins import bin_rates
@@ -129,7 +129,7 @@ def failures_table(failures: pd.DataFrame, most: int) -> Table:
     rows = tuple(_failure(run) for run in failures.head(most).to_dict('records'))
     return Table(
         name='counterexamples', title='Counterexamples', rows=rows, run_id_column='run_id',
-        caption='The typical run of each group first, then the worst of each cause in turn.',
+        caption='The worst of each cause in turn.',
         columns=(
             Column(name='run_id', title='run'), Column(name='rho', title='ρ', decimals=2),
             Column(name='time_of_day', title='time'), Column(name='clouds', title='clouds'),
@@ -138,25 +138,8 @@ def failures_table(failures: pd.DataFrame, most: int) -> Table:
             Column(name='distance_m', title='along the track [m]', decimals=0),
             Column(name='heading_deg', title='nose left [°]', decimals=0),
             Column(name='left_runway', title='off the runway'),
-            Column(name='cause', title='cause'), Column(name='group', title='group'),
+            Column(name='cause', title='cause'),
         ),
-    )
-
-
-def clusters_table(findings: Findings) -> Table:
-    """Groups of failures."""
-    return Table(
-        name='clusters', title='Groups', run_id_column='typical_run',
-        caption='Properties shared by nine in ten of its runs, but not by many others.',
-        columns=(
-            Column(name='group', title='#'), Column(name='failures', title='failures'),
-            Column(name='share_percent', title='of those compared [%]', decimals=0),
-            Column(name='common', title='in common'),
-            Column(name='median_rho', title='median ρ', decimals=2),
-            Column(name='typical_run', title='typical run'),
-        ),
-        rows=tuple((one.number, one.failures, 100 * one.share, one.words(), one.median_rho,
-                    one.typical) for one in findings.clusters.found),
     )
 
 
@@ -166,7 +149,6 @@ def _failure(run: Mapping[Hashable, Any]) -> tuple[Cell, ...]:
         str(run['run_id']), float(run['rho']), clock_words(float(run['time_of_day_h'])),
         str(run['clouds']), *(float(run[name]) for name in _NUMBERS),
         None if math.isnan(left) else bool(left), int(run[CAUSE]) or None,
-        int(run[GROUP]) or None,
     )
 
 

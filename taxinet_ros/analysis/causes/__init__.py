@@ -1,1 +1,1 @@
-"""Causes of failures: regions of the scenes, rules, clusters and rankings."""
+"""Causes of failures: regions of the scenes, rules and rankings."""

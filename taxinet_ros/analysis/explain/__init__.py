@@ -1,1 +1,1 @@
-"""Explanation of a failed run: track, counterfactuals, occlusion."""
+"""Explanation of a failed run: track and counterfactuals."""

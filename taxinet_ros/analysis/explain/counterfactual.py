@@ -17,9 +17,10 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Estimator, Frame, Moment, misled_rad
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.core.assurance.switch import make_controller
@@ -374,6 +375,11 @@ def _outcome(
         image=image, estimate=estimate, misled_rad=misled_rad(estimate, moment.truth, gains),
         changed=float(changed_pixels(image, moment.image).mean()),
     )
+
+
+def changed_pixels(one: Frame, other: Frame, levels: int = 4) -> NDArray[np.bool_]:
+    """Mask of the pixels where frames differ by more than ``levels`` in some colour, (H, W)."""
+    return np.asarray(cv2.absdiff(one, other).max(axis=2) > levels, np.bool_)
 
 
 def _removed(moments: Sequence[Moment], outcomes: Sequence[ChangedView]) -> float:

@@ -10,9 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from taxinet_ros.analysis.explain.counterfactual import (
-    CROSSING,
-    OTHERS,
-    SHADOW,
     Effect,
     Rerun,
     effect_to_blame,
@@ -22,9 +19,7 @@ from taxinet_ros.analysis.explain.counterfactual import (
     run_factors,
     taken_again,
 )
-from taxinet_ros.analysis.explain.occlusion import OcclusionMap, changed_pixels, occlusion_map
 from taxinet_ros.analysis.explain.track import (
-    Estimator,
     Frame,
     Moment,
     Track,
@@ -52,22 +47,6 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Insight:
-    """Findings about one moment.
-
-    Attributes:
-        moment: the moment.
-        occlusion: dependence of the estimate on parts of its frame.
-        parts: shares of the frame and of the effect on the estimate (0..1 each) of the aircraft's
-            shadow and the crossing, by the factor's name, as far as they are visible.
-    """
-
-    moment: Moment
-    occlusion: OcclusionMap
-    parts: dict[str, tuple[float, float]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Explanation:
     """Findings about a run.
 
@@ -77,7 +56,7 @@ class Explanation:
         perception: word of the evaluated network.
         fingerprint: fingerprint of its weights.
         track: its estimates along the run.
-        insights: the examined moments in order of time, at least one.
+        moments: those examined, in order of time, at least one.
         effects: effects of changing the scene at these moments, in the factors' order; empty if the
             run cannot be rerun.
         reruns: the whole run as recorded, and without what failed in it or pushed the aircraft;
@@ -96,7 +75,7 @@ class Explanation:
     perception: str
     fingerprint: str
     track: Track
-    insights: tuple[Insight, ...]
+    moments: tuple[Moment, ...]
     effects: tuple[Effect, ...]
     reruns: tuple[Rerun, ...] = ()
     not_rerun: str = ''
@@ -113,8 +92,8 @@ class Explanation:
 
     @property
     def worst(self) -> int:
-        """Index of the insight at which the network misleads the aircraft most."""
-        misled = [abs(insight.moment.misled_rad) for insight in self.insights]
+        """Index of the moment at which the network misleads the aircraft most."""
+        misled = [abs(moment.misled_rad) for moment in self.moments]
         return int(np.argmax(np.nan_to_num(misled, nan=-1.0)))
 
     @property
@@ -176,13 +155,9 @@ def explain(
         run, perception, '' if camera == OURS else f'its pictures are of the camera {camera}',
         lambda done, all_: on_progress('runs', done, all_),
     )
-    insights = []
-    for number, moment in enumerate(chosen):
-        insights.append(_insight(number, moment, look, track, found))
-        on_progress('maps', number + 1, len(chosen))
     return Explanation(
         bag=bag, run=run, perception=perception.word, fingerprint=perception.fingerprint,
-        track=track, insights=tuple(insights), effects=found,
+        track=track, moments=chosen, effects=found,
         reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
         hidden=() if renderer is None else not_shown(renderer.shows),
         outcome='' if recording.facts is None else recording.facts.outcome,
@@ -225,23 +200,6 @@ def _driven_again(
         return reruns(run, perception, on_progress), ''
     except (InfraError, UsageError, UserCodeError) as error:
         return (), str(error)
-
-
-def _insight(
-    number: int, moment: Moment, look: Estimator, track: Track, found: tuple[Effect, ...]
-) -> Insight:
-    occlusion = occlusion_map(look, moment.image, track.gains)
-    parts = {}
-    for effect in found:
-        if effect.factor.name in PARTS and effect.outcomes[number].changed > 0:
-            mask = changed_pixels(moment.image, effect.outcomes[number].image)
-            parts[effect.factor.name] = (float(mask.mean()), occlusion.share(mask))
-    return Insight(moment=moment, occlusion=occlusion, parts=parts)
-
-
-PARTS = {
-    SHADOW: "the aircraft's own shadow", CROSSING: 'the crossing', OTHERS: 'the group of others',
-}
 
 
 def moment_words(moment: Moment) -> str:

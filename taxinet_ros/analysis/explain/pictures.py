@@ -1,4 +1,4 @@
-"""Figures on a network failure: errors, counterfactual frames, occlusion maps.
+"""Figures on a network failure: errors, counterfactual frames.
 
 In frames a solid line is the true centreline, a dashed one the centreline by the estimate.
 """
@@ -11,21 +11,16 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from taxinet_ros.analysis.explain.explain import (
     Explanation,
-    Insight,
     error_words,
     misled_words,
     moment_words,
 )
-from taxinet_ros.analysis.explain.occlusion import STRIDE_PX
 from taxinet_ros.analysis.explain.track import Floats, Frame, Moment
-from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
+from taxinet_ros.analysis.one_run.robustness import ROW_IN, draw_clauses
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
 from taxinet_ros.core.mtl.explain import Explanation as Clauses
@@ -36,7 +31,6 @@ _TRUE, _BELIEVED = '#35d0ff', '#ff9d00'
 
 _SHOWN_AFTER_S = 2.0
 _COLUMNS = 3
-_LEAST_CTE_M, _LEAST_HE_DEG = 0.1, 0.5
 
 
 def error_picture(found: Explanation) -> Picture:
@@ -71,27 +65,16 @@ def factor_picture(found: Explanation) -> Picture:
 
 
 def scene_picture(found: Explanation, number: int) -> Picture:
-    """The frame of one moment, as recorded and in changed scenes."""
-    moment = found.insights[number].moment
+    """The frame of one moment, as recorded and in changed scenes, if any."""
+    moment = found.moments[number]
     rows = math.ceil((1 + len(found.effects)) / _COLUMNS)
     return Picture(
         name=f'explain-scenes-{moment.seq:04d}',
-        title=f'In other scenes, at {time_words(moment.t_s)}',
+        title=f'{"In other scenes" if found.effects else "As recorded"}, at '
+        f'{time_words(moment.t_s)}',
         caption=f'{moment_words(moment)}. Blue: true centreline; orange, dashed: centreline '
         "according to the network's estimate.",
         draw=partial(_draw_scenes, found, number), size_in=(9.0, 0.1 + 2.15 * rows),
-    )
-
-
-def occlusion_picture(insight: Insight) -> Picture:
-    """Occlusion map drawn on the frame."""
-    moment = insight.moment
-    return Picture(
-        name=f'explain-patches-{moment.seq:04d}',
-        title=f'What matters, at {time_words(moment.t_s)}',
-        caption='Change of the estimate when the image is covered there: red, to the left; blue, '
-        'to the right. Uncoloured regions have no effect.',
-        draw=partial(_draw_occlusion, insight), size_in=(9.0, 2.35),
     )
 
 
@@ -119,8 +102,8 @@ def _draw_errors(found: Explanation, figure: Figure, theme: Theme) -> None:
         if recorded is not None and not found.own:
             axes.plot(time, recorded[shown], color=theme.passed, linewidth=1.0, linestyle=':',
                       label=f'estimated in the run ({found.run.perception or "not told"})')
-        for insight in found.insights:
-            axes.axvline(insight.moment.t_s, color=theme.others[1], linewidth=0.9, linestyle='--')
+        for moment in found.moments:
+            axes.axvline(moment.t_s, color=theme.others[1], linewidth=0.9, linestyle='--')
         _shade_after(axes, track.steps_on_runway, track.t_s, shown, theme, words=alone)
         axes.set_ylabel(label)
         style_axes(axes)
@@ -162,7 +145,7 @@ def _draw_factors(found: Explanation, figure: Figure, theme: Theme) -> None:
 
 
 def _draw_scenes(found: Explanation, number: int, figure: Figure, theme: Theme) -> None:
-    moment = found.insights[number].moment
+    moment = found.moments[number]
     tiles: list[tuple[str, Frame, TrackingError, float]] = [
         ('as recorded', moment.image, moment.estimate, moment.misled_rad)]
     for effect in found.effects:
@@ -187,42 +170,6 @@ def _draw_scenes(found: Explanation, number: int, figure: Figure, theme: Theme) 
         if place and found.blamed is found.effects[place - 1]:
             for spine in axes.spines.values():
                 spine.set(visible=True, color=theme.passed, linewidth=2.5)
-
-
-def _draw_occlusion(insight: Insight, figure: Figure, theme: Theme) -> None:
-    moment, found = insight.moment, insight.occlusion
-    figure.set_layout_engine('none')
-    grid = figure.add_gridspec(
-        2, 3, left=0.005, right=0.995, wspace=0.04, top=0.9, bottom=0.12, hspace=0.08,
-        height_ratios=(16, 1),
-    )
-    frame, *maps = (figure.add_subplot(grid[0, column]) for column in range(3))
-    scales = [figure.add_subplot(grid[1, column]) for column in (1, 2)]
-    _show(frame, moment.image)
-    _lines(frame, moment, moment.estimate)
-    frame.set_title('frame', fontsize=9, loc='left')
-    frame.set_xlabel(f'true {error_words(moment.truth)}\nseen {error_words(moment.estimate)}',
-                     fontsize=8, labelpad=4)
-    for axes, scale, values, unit, least in (
-        (maps[0], scales[0], found.cte_m, 'CTE, change [m]', _LEAST_CTE_M),
-        (maps[1], scales[1], np.degrees(found.he_rad), 'HE, change [°]', _LEAST_HE_DEG),
-    ):
-        grey = moment.image.mean(axis=2)
-        axes.imshow(grey, cmap='gray', vmin=0, vmax=255, extent=_EXTENT)
-        greatest = max(float(np.abs(values).max()), least)
-        height, width = (side * STRIDE_PX for side in values.shape)
-        drawn = axes.imshow(
-            values, cmap='RdBu_r', norm=TwoSlopeNorm(0, -greatest, greatest),
-            interpolation='bilinear', extent=(-0.5, width - 0.5, height - 0.5, -0.5),
-            alpha=np.clip(np.abs(values) / greatest, 0, 1) ** 0.6 * 0.85,
-        )
-        _frame_axes(axes)
-        axes.set_title(unit, fontsize=9, loc='left')
-        # A separate mappable: the picture's opacity varies by place, the colour bar is opaque.
-        colours = ScalarMappable(norm=drawn.norm, cmap=drawn.cmap)
-        bar = figure.colorbar(
-            colours, cax=scale, orientation='horizontal', ticks=MaxNLocator(6, symmetric=True))
-        bar.ax.tick_params(labelsize=7)
 
 
 _EXTENT = (-0.5, IMAGE_WIDTH - 0.5, IMAGE_HEIGHT - 0.5, -0.5)

@@ -9,7 +9,6 @@ from typing import Any
 
 from taxinet_ros.analysis.explain.counterfactual import LEAST_SHARE
 from taxinet_ros.analysis.explain.explain import (
-    PARTS,
     Explanation,
     effect_words,
     error_words,
@@ -19,7 +18,6 @@ from taxinet_ros.analysis.explain.pictures import (
     clause_picture,
     error_picture,
     factor_picture,
-    occlusion_picture,
     scene_picture,
 )
 from taxinet_ros.analysis.explain.track import Moment
@@ -56,12 +54,12 @@ _ESTIMATE = (
 def explain_report(found: Explanation) -> Report:
     """Report on an explanation."""
     run_id = found.run.request.run_id
-    worst = found.insights[found.worst]
+    worst = found.moments[found.worst]
     return fill_report(
         TEXT, {
-            'f': found, 'worst': worst, 'hardly_rad': _HARDLY_RAD, 'least': LEAST_SHARE,
-            'misled_deg': math.degrees(abs(worst.moment.misled_rad)), 'outcome': found.outcome,
-            'scene': found.run.request.scenario.to_human(), 'parts': PARTS,
+            'f': found, 'w': worst, 'hardly_rad': _HARDLY_RAD, 'least': LEAST_SHARE,
+            'misled_deg': math.degrees(abs(worst.misled_rad)), 'outcome': found.outcome,
+            'scene': found.run.request.scenario.to_human(),
             'camera': world_and_camera(found.run.world or KMWH)[1],
             'tolerance_m': CENTRELINE_TOLERANCE_M,
         },
@@ -72,13 +70,13 @@ def explain_report(found: Explanation) -> Report:
 def _figures(found: Explanation) -> dict[str, Sequence[Picture | Table]]:
     figures: dict[str, Sequence[Picture | Table]] = {
         'errors': (error_picture(found), _moment_table(found)),
-        'attention': tuple(map(occlusion_picture, found.insights)),
     }
     if found.clauses is not None:
         figures['requirement'] = (clause_picture(found.clauses),)
-    if found.effects:
-        scenes = (scene_picture(found, number) for number in range(len(found.insights)))
-        figures['scenes'] = (factor_picture(found), *scenes, _factor_table(found))
+    scenes = tuple(scene_picture(found, number) for number in range(len(found.moments)))
+    figures['scenes'] = (
+        (factor_picture(found), *scenes, _factor_table(found)) if found.effects else scenes
+    )
     return figures
 
 
@@ -119,7 +117,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
             for rerun in found.reruns
         ],
         **clauses_json(found.clauses),
-        'moments': [_moment_json(found, number) for number in range(len(found.insights))],
+        'moments': [_moment_json(found, number) for number in range(len(found.moments))],
         'sentences': list(explain_report(found).summary),
     })
 
@@ -136,15 +134,14 @@ def _moment_table(found: Explanation) -> Table:
         rows=tuple(
             (m.t_s, m.x_m, m.truth.cte_m, math.degrees(m.truth.he_rad),
              *_cells(m, m.estimate, m.misled_rad))
-            for m in (insight.moment for insight in found.insights)
+            for m in found.moments
         ),
     )
 
 
 def _factor_table(found: Explanation) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for number, insight in enumerate(found.insights):
-        m = insight.moment
+    for number, m in enumerate(found.moments):
         rows.append((m.t_s, 'as recorded', *_cells(m, m.estimate, m.misled_rad), None, None))
         for effect in found.effects:
             outcome = effect.outcomes[number]
@@ -177,9 +174,7 @@ def _cells(moment: Moment, estimate: TrackingError, misled_rad: float) -> tuple[
 
 
 def _moment_json(found: Explanation, number: int) -> dict[str, Any]:
-    insight = found.insights[number]
-    m = insight.moment
-    region, share = insight.occlusion.region
+    m = found.moments[number]
     return {
         't_s': m.t_s, 'seq': m.seq, 'x_m': m.x_m, 'truth': _error_json(m.truth),
         'estimate': _error_json(m.estimate), 'misled_rad': m.misled_rad,
@@ -189,11 +184,6 @@ def _moment_json(found: Explanation, number: int) -> dict[str, Any]:
                 'misled_rad': effect.outcomes[number].misled_rad,
                 'picture_changed': effect.outcomes[number].changed,
             } for effect in found.effects
-        },
-        'region': {'words': region, 'share': share},
-        'parts': {
-            name: {'picture': area, 'effect': weight}
-            for name, (area, weight) in insight.parts.items()
         },
     }
 

@@ -115,7 +115,6 @@ class GateOptions:
     Attributes:
         min_satisfaction: minimum share of runs that satisfy their formulas, or None.
         max_off_runway: maximum share of runs that leave the runway, or None.
-        max_infra: maximum number of infrastructure errors.
         confidence: confidence of each one-sided bound, or of each answer of a sequential test.
         look: the looks that the confidence covers.
         design: with a sequential test and one threshold, the share that the system is designed
@@ -126,7 +125,6 @@ class GateOptions:
 
     min_satisfaction: float | None = None
     max_off_runway: float | None = None
-    max_infra: int = 0
     confidence: float = CONFIDENCE
     look: Look = Look.ANY
     design: float | None = None
@@ -181,8 +179,6 @@ class GateOptions:
             )
         if not 0.5 <= self.confidence < 1:
             raise UsageError(f'confidence {self.confidence:g}: needs to be within 0.5..1')
-        if self.max_infra < 0:
-            raise UsageError(f'max_infra {self.max_infra}: needs to be 0 or more')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -274,7 +270,7 @@ def gate_result(
             criteria.append(_criterion(good, threshold, options, off=off))
     if compared is not None:
         criteria.append(compared)
-    criteria.append(_infra(rows, options.max_infra))
+    criteria.append(_infra(rows))
     if folder:
         criteria = [_with_next(one, options, folder) for one in criteria]
     verdicts = {one.verdict for one in criteria}
@@ -410,12 +406,12 @@ def further_words(good: ProgramRate, more: int | None) -> str:
     return macro_text(TEXT, 'further', good=good, more=more)
 
 
-def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
+def _infra(rows: Sequence[RunRow]) -> Criterion:
     kinds = [row.kind for row in rows if row.outcome is Outcome.INFRA_ERROR]
     return Criterion(
         kind=Kind.BROKEN,
-        name=f'runs broken by the bench: at most {most}',
-        verdict=Verdict.PASS if len(kinds) <= most else Verdict.FAIL,
+        name='runs broken by the bench: at most 0',
+        verdict=Verdict.FAIL if kinds else Verdict.PASS,
         sentence=macro_text(
             TEXT, 'broken', runs=len(kinds), kinds=kind_words(count_kinds(kinds))),
     )

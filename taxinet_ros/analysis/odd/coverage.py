@@ -5,8 +5,7 @@ without a verdict cover nothing. Rates and their intervals are those of :mod:`.r
 the runs that the program itself drew; they hold for one cell at a time, not for all together.
 
 Coverage by cells is t-wise combinatorial coverage (Kuhn, Mendoza, Kacker and Lei, Combinatorial
-coverage measurement concepts and applications, IWCT 2013); beyond cells, there is the dispersion
-(:mod:`.dispersion`).
+coverage measurement concepts and applications, IWCT 2013).
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from taxinet_ros.analysis.odd.dispersion import Hole, largest_hole
 from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, group_rate
 from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
@@ -131,7 +129,6 @@ class OddCoverage:
         strengths: coverage of the combinations of 1, 2, … cells.
         pairs: runs in each pair of cells, by numbers of the two parameters.
         gaps: the largest gaps among feasible pairs of cells, the largest first.
-        hole: the largest hole in the numeric parameters; None without a run or such a parameter.
         fixed: keys of parameters with the same value in all runs inside, though they have more.
         unmentioned: keys that varied between the judged runs, but are not in the ODD.
         cautions: what is to be known of the rates, a sentence each.
@@ -149,7 +146,6 @@ class OddCoverage:
     strengths: tuple[Strength, ...]
     pairs: Mapping[Combination, Pairs]
     gaps: tuple[Gap, ...]
-    hole: Hole | None
     fixed: tuple[str, ...]
     unmentioned: tuple[str, ...]
     cautions: tuple[str, ...]
@@ -167,16 +163,6 @@ class OddCoverage:
             f'{self.odd.parameters[gap.parameter].words(gap.cell)} with {other.field.label} '
             f'{", ".join(labels)}'
         )
-
-    def hole_words(self) -> dict[str, str]:
-        """Where the largest hole is, by key."""
-        if self.hole is None:
-            return {}
-        numeric = [one for one in self.odd.parameters if _wide(one)]
-        return {
-            one.key: one.field.value_words(_value(one.ends, float(share)))
-            for one, share in zip(numeric, self.hole.centre, strict=True)
-        }
 
 
 def odd_coverage(
@@ -225,7 +211,7 @@ def odd_coverage(
         outside=dict(Counter(why for whys in outside for why in whys).most_common()),
         unjudged=_unjudged(campaigns), limit=limit, cells=among.cells(),
         strengths=tuple(among.strength(t) for t in wanted), pairs=pairs,
-        gaps=_gaps(odd, pairs), hole=_hole(odd, kept),
+        gaps=_gaps(odd, pairs),
         fixed=tuple(
             one.key for one in odd.parameters
             if len(kept) and kept[one.key].nunique() == 1 and (len(one.cells) > 1 or _wide(one))
@@ -396,43 +382,6 @@ def _wide(one: Any) -> bool:
     return bool(one.numeric) and one.ends[0] < one.ends[1]
 
 
-def _value(ends: tuple[float, float], share: float) -> float:
-    return ends[0] + share * (ends[1] - ends[0])
-
-
-def _hole(odd: Odd, scenes: pd.DataFrame) -> Hole | None:
-    numeric = [number for number, one in enumerate(odd.parameters) if _wide(one)]
-    if not numeric or not len(scenes):
-        return None
-    parameters = [odd.parameters[number] for number in numeric]
-    low = np.array([one.ends[0] for one in parameters])
-    width = np.array([one.ends[1] - one.ends[0] for one in parameters])
-    points = (scenes[[one.key for one in parameters]].to_numpy(dtype=np.float64) - low) / width
-    # An exclusion that depends on words is not of these parameters alone.
-    boxes = [one for one in odd.exclusions if one.parameters <= set(numeric)]
-
-    def inside(places: npt.NDArray[np.float64]) -> Mask:
-        values = low + places * width
-        found = np.ones(len(values), dtype=bool)
-        for column, one in enumerate(parameters):
-            found &= np.any([
-                (values[:, column] >= cell.low - one.slack)
-                & (values[:, column] <= cell.high + one.slack) for cell in one.cells
-            ], axis=0)
-        for box in boxes:
-            found &= ~np.all([
-                (values[:, numeric.index(number)] >= low_end)
-                & (values[:, numeric.index(number)] <= high_end)
-                for number, (low_end, high_end) in box.numbers.items()
-            ], axis=0)
-        return found
-
-    try:
-        return largest_hole(np.clip(points, 0.0, 1.0), inside)
-    except ValueError:  # only single values, of which no probe is one
-        return None
-
-
 def _cautions(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
     lines = [line for one in campaigns for line in one.warnings]
     programs = dict.fromkeys(one.program for one in campaigns)
@@ -488,10 +437,6 @@ def coverage_json(found: OddCoverage) -> dict[str, Any]:
              'cells': [odd.parameters[one.other].cells[cell].label for cell in one.cells]}
             for one in found.gaps
         ],
-        'dispersion': None if found.hole is None else {
-            'at_least': found.hole.radius, 'least_possible': found.hole.least,
-            'hole': found.hole_words(),
-        },
         'never_varied': found.fixed, 'not_in_odd': found.unmentioned,
         'cautions': found.cautions,
     })

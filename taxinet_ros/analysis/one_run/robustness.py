@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.one_run.clauses import ROW_IN, draw_clauses
-from taxinet_ros.analysis.report.parts import Theme
+from taxinet_ros.analysis.report.parts import Theme, style_axes
 from taxinet_ros.bag.check.judge import JudgedBag
 from taxinet_ros.bag.run.judging import (
     BagVerdict,
@@ -30,6 +29,7 @@ from taxinet_ros.bag.run.judging import (
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.samples import run_samples
 from taxinet_ros.core.mtl import SIGNALS, Assumptions, Reading, ast, atoms, signal_names
+from taxinet_ros.core.mtl.explain import Clause, Explanation
 from taxinet_ros.core.mtl.margin import compile_margin
 from taxinet_ros.core.types import NS_PER_S, time_words
 from taxinet_ros.errors import UsageError
@@ -48,6 +48,8 @@ _MOMENT: dict[str, Any] = {'linewidth': 1.6, 'linestyle': (0, (4, 2))}
 _PICTURE = '.png'
 _MOST_ATOMS = 4
 """Maximum number of predicates drawn per formula; more would be too small to read."""
+ROW_IN = 0.95
+"""Height of one part of a requirement [inch]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -317,3 +319,45 @@ def _title(bag: JudgedBag) -> str:
         return bag.name
     why = 'stopped early' if bag.stopped_early else 'incomplete'
     return f'{bag.name}   ({why}: {bag.end_s:g} of {bag.duration_s:g} s)'
+
+
+def draw_clauses(figure: FigureBase, found: Explanation, theme: Theme, end_s: float) -> None:
+    """Draw each part over the samples that the requirement reads; the run ends at ``end_s``."""
+    t_s = np.array(found.stamps_ns) / NS_PER_S
+    rows = figure.subplots(len(found.clauses), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, one in zip(rows, found.clauses, strict=True):
+        _draw_clause(axes, one, t_s, theme, one is found.witness)
+        style_axes(axes)
+        axes.tick_params(labelsize=7)
+    rows[-1].set_xlim(0, max(end_s, float(t_s[-1])))
+    rows[-1].set_xlabel('time [s]', fontsize=8)
+
+
+def _draw_clause(axes: Axes, one: Clause, t_s: np.ndarray, theme: Theme, witness: bool) -> None:
+    lower, upper = np.array(one.lower), np.array(one.upper)
+    known = np.concatenate([[0.0], lower[np.isfinite(lower)], upper[np.isfinite(upper)]])
+    pad = 0.15 * float(np.ptp(known)) or 1.0
+    floor, ceiling = float(known.min()) - pad, float(known.max()) + pad
+    low, high = np.clip(lower, floor, ceiling), np.clip(upper, floor, ceiling)
+    axes.set_ylim(floor, ceiling)
+    axes.axhline(0, color=theme.ink, linewidth=0.8)
+    axes.fill_between(t_s, low, high, color=theme.passed, alpha=0.25, linewidth=0)
+    exact = lower == upper
+    single = 'o' if np.isfinite(low).sum() == 1 else ''
+    for fits, colour in ((lower > 0, theme.passed), (upper <= 0, theme.failed)):
+        axes.plot(t_s, np.where(exact & fits, low, np.nan), color=colour, linewidth=1.4,
+                  marker=single, markersize=3)
+    colour = theme.failed if upper[one.row] <= 0 else theme.passed
+    if one.decides:
+        axes.plot([t_s[one.row]], [(high if upper[one.row] <= 0 else low)[one.row]], marker='o',
+                  markersize=8 if witness else 5, markerfacecolor=colour if witness else 'none',
+                  markeredgecolor=colour, clip_on=False, zorder=5)
+    text = one.text if len(one.text) <= 96 else f'{one.text[:95]}…'  # as much as fits
+    at = time_words(t_s[one.row])
+    words = f'{one.interval.words()} at {at}' if one.interval else 'not needed'
+    axes.set_title(f'{"    " * one.depth}{text}', fontsize=8, loc='left', color=theme.ink)
+    axes.set_title(
+        f'{words}{", decides" if witness else ""}', fontsize=8, loc='right',
+        color=colour if one.decides else theme.ink,
+        weight='bold' if witness else 'normal',
+    )

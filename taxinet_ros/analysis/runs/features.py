@@ -326,14 +326,6 @@ def kinds_present(feature: Feature, frame: pd.DataFrame) -> tuple[str, ...]:
     return known + tuple(sorted(present - set(known)))
 
 
-def ordered_values(feature: Feature, frame: pd.DataFrame) -> npt.NDArray[np.float64]:
-    """A feature as numbers; for words their index in the feature's kinds, -1 if unknown."""
-    if feature.numeric:
-        return frame[feature.name].to_numpy(dtype=np.float64)
-    codes = pd.Categorical(frame[feature.name], categories=feature.kinds).codes
-    return codes.astype(np.float64)
-
-
 def _values(feature: Feature, table: pd.DataFrame) -> npt.NDArray[Any]:
     if feature.source not in table.columns:
         # A table from before this feature existed.

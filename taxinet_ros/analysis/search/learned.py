@@ -1,4 +1,4 @@
-"""Output of a search's learned distribution: as JSON, as a program, as a picture."""
+"""Output of a search's learned distribution: as JSON and as a program."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from taxinet_ros.trials.learned_program import learned_program
 from taxinet_ros.trials.learned_result import LEARNED_NAME, Evidence, LearnedResult
 from taxinet_ros.trials.search import Search
 
-PROGRAM_NAME, PICTURE_NAME = 'learned.scenic', 'learned.png'
+PROGRAM_NAME = 'learned.scenic'
 
 
 def write_learned(search: Engine[Search]) -> list[str]:
-    """Write ``learned.json``, ``learned.png`` and, if Scenic can express it, a program.
+    """Write ``learned.json`` and, if Scenic can express it, a program.
 
     Args:
         search: ended search whose Scenic child still runs.
@@ -36,13 +36,10 @@ def write_learned(search: Engine[Search]) -> list[str]:
         return []
     if why := _nothing_learned(search, probabilities):
         return [f'nothing learned: {why}']
-    from taxinet_ros.analysis.search.learned_picture import learned_picture
-
     out = search.options.out
     write_atomically(out / LEARNED_NAME, _result(search, probabilities).to_json())
     space = search.proposer.space
-    learned_picture(space.searched, probabilities, out / PICTURE_NAME, _title(search))
-    names, notes = [LEARNED_NAME, PICTURE_NAME], []
+    programs: list[str] = []
     try:
         text, left = learned_program(
             find_program(search.options.program), space, probabilities,
@@ -53,11 +50,12 @@ def write_learned(search: Engine[Search]) -> list[str]:
             out / PROGRAM_NAME, '\n'.join([text, overrides_statement(given)]).rstrip() + '\n',
             str(search.book.facts['program_text']),
         )
-        names.append(PROGRAM_NAME)
+        programs = [PROGRAM_NAME]
         notes = [f'in {PROGRAM_NAME} as the program has it: {why}' for why in left]
     except UsageError as error:
         notes = [f'as a program: {error}']
-    return [f'learned: {out / names[0]}, {", ".join(names[1:])}', *_evidence_words(search), *notes]
+    files = ', '.join([str(out / LEARNED_NAME), *programs])
+    return [f'learned: {files}', *_evidence_words(search), *notes]
 
 
 def _nothing_learned(search: Engine[Search], probabilities: Probabilities) -> str:

@@ -2,7 +2,7 @@
 
 In ROS any node may publish on these two topics. So the transforms in a run's bag are not recorded
 from the topics but derived from the bag's odometry: ``tf`` is the pose of ``base_link`` in ``map``,
-bit for bit as in ``ground_truth/odom``. Simulator, recorder and player all use this module.
+bit for bit as in ``ground_truth/odom``. Simulator and recorder use this module.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from taxinet_ros.bag.run.topics import (
     MAP_FRAME,
     topic_info,
 )
-from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core import topics
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import WING
@@ -32,13 +31,8 @@ _STAMP, _POSE = struct.Struct('<IiI'), struct.Struct('<7d')
 class OdometryTransforms:
     """Converts odometry messages to ``tf`` messages."""
 
-    def __init__(self, odometry: TopicInfo | None = None) -> None:
-        """Prepare the decoder of odometry, with the installed definition or that of a bag.
-
-        Raises:
-            BagForeign: the topic has no usable definition.
-        """
-        self._decode = decoder(odometry or topic_info(topics.ODOMETRY))
+    def __init__(self) -> None:
+        self._decode = decoder(topic_info(topics.ODOMETRY))
 
     def __call__(self, odometry: bytes) -> bytes:
         """Serialised ``TFMessage`` with the pose of odometry's child frame, with its stamp.

@@ -39,18 +39,13 @@ def analyze(
     alpha: Annotated[
         float, typer.Option(help='accepted probability of naming a false cause')
     ] = 0.05,
-    viewers: Annotated[
-        int, typer.Option(min=0, help='maximum number of failed runs shown step by step on the '
-        'page')
-    ] = 20,
     as_json: JsonOption = False,
 ) -> int:
     """Find the causes of a campaign's failures, and write a report.
 
     Identifies hours, clouds, positions and poses (singly and in pairs) where runs fail
-    significantly more often, clusters the counterexamples, plots robustness over each feature and
-    compares networks. Exit code 3 if a sampler chose all runs, so that the program's failure rate
-    cannot be estimated.
+    significantly more often, plots robustness over each feature and compares networks. Exit code 3
+    if a sampler chose all runs, so that the program's failure rate cannot be estimated.
     """
     from taxinet_ros.analysis.campaign.findings import analyse
     from taxinet_ros.analysis.campaign.folder import (
@@ -71,7 +66,7 @@ def analyze(
     check_folder(folder)
     with _progress() as show:
         findings = analyse(runs, others, alpha=alpha, on_progress=show)
-        report = campaign_report(findings, viewers=viewers)
+        report = campaign_report(findings)
         values = write_analysis(findings, report, folder, on_progress=show)
     if as_json:
         print(json_text(values), end='')

@@ -47,9 +47,8 @@ def explain(
 ) -> int:
     """Explain why the network failed in one run.
 
-    Shows where its estimates are wrong; what it would estimate at the worst moments without shadow,
-    crossing or rain, under another sky and at another hour; and which image region the estimate
-    depends on.
+    Shows where its estimates are wrong, and what it would estimate at the worst moments without
+    shadow, crossing or rain, under another sky and at another hour.
     """
     from taxinet_ros.analysis.explain.explain import explain
     from taxinet_ros.analysis.explain.report import explain_report, write_explanation

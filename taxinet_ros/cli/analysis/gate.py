@@ -50,9 +50,6 @@ def gate(
             'worse (default 0.05)'
         ),
     ] = None,
-    max_infra: Annotated[
-        int, typer.Option(help='maximum number of runs with an infrastructure error')
-    ] = 0,
     confidence: Annotated[
         float,
         typer.Option(help='confidence of PASS and of FAIL, over all looks that are covered'),
@@ -120,8 +117,8 @@ def gate(
     if margin is not None and baseline is None:
         raise UsageError('--margin: only with --baseline')
     options = GateOptions(
-        min_satisfaction=min_satisfaction, max_off_runway=max_off_runway, max_infra=max_infra,
-        confidence=confidence, look=Look.of(planned=planned, sequential=sequential),
+        min_satisfaction=min_satisfaction, max_off_runway=max_off_runway, confidence=confidence,
+        look=Look.of(planned=planned, sequential=sequential),
         design=design, margin=DEFAULT_MARGIN if baseline and margin is None else margin,
     )
     if inconclusive not in INCONCLUSIVE_WORDS:

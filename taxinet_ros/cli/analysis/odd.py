@@ -69,8 +69,8 @@ def odd(
     """Check an operational design domain (ODD) and print its cells, or what campaigns cover of it.
 
     Of campaigns: judged runs inside and outside; runs and failure rate of each cell; the share of
-    all pairs and triples of cells with a run; the gaps; the largest hole between runs; parameters
-    that were never varied, or that the ODD does not mention.
+    all pairs and triples of cells with a run; the gaps; parameters that were never varied, or
+    that the ODD does not mention.
     """
     from taxinet_ros.analysis.odd.coverage import STRENGTHS, odd_coverage
     from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +15,6 @@ from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.check.compare import TopicComparison
-    from taxinet_ros.bag.run.recording import Recording
 
 EQUAL, DIFFERENT = 0, 1
 
@@ -26,10 +25,6 @@ def compare(
     tolerance: Annotated[
         float, typer.Option(min=0, help='tolerance of floating-point values; 0: bit-identical')
     ] = 0.0,
-    skip: Annotated[
-        list[str] | None,
-        typer.Option(metavar='TOPIC', help='topic to leave out (camera/image_raw, …); repeatable'),
-    ] = None,
     run_id: RunOption = None,
     other_run: Annotated[
         str | None,
@@ -47,7 +42,7 @@ def compare(
     console = line_console()
     with readable_bags():
         one, two = one_run(bag, run_id), one_run(other, other_run)
-        topics = compare_bags(one, two, tolerance=tolerance, skip=_topics(skip or (), one, two))
+        topics = compare_bags(one, two, tolerance=tolerance)
         if not topics:
             raise UsageError(f'{one.path} and {two.path}: no messages to compare')
         warn_of_stacks(console, one.made_on, two.made_on)
@@ -72,16 +67,6 @@ def print_comparison(
         messages=sum(max(topic.counts) for topic in topics), tolerance=tolerance, first=first,
         at='' if first is None else time_words(first.stamp_ns / NS_PER_S),
     ))
-
-
-def _topics(names: Collection[str], *bags: Recording) -> list[str]:
-    """Topic names as recorded in bags, each in one of them."""
-    known = {name for bag in bags for name in bag.info.counts}
-    for name in names:
-        if '/' + name.lstrip('/') not in known:
-            words = ', '.join(sorted(known))
-            raise UsageError(f'--skip {name}: neither bag has it; they have {words}')
-    return ['/' + name.lstrip('/') for name in names]
 
 
 def _bytes(bag: Path) -> list[bytes]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.options import JsonOption, refuse_given
+from taxinet_ros.cli.options import JsonOption
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ _NAME_WIDTH, _LINE_WIDTH = 14, 100
 
 
 def check_node(
-    context: typer.Context,
     command: Annotated[
         str,
         typer.Argument(
@@ -37,19 +36,6 @@ def check_node(
         typer.Option(
             metavar='ROLE',
             help='perception or controller (default: detected; a function needs it)',
-        ),
-    ] = None,
-    patience: Annotated[
-        float,
-        typer.Option(
-            min=0.1, max=3600.0, metavar='SECONDS',
-            help='timeout for an answer; three times as long for READY',
-        ),
-    ] = 10.0,
-    log: Annotated[
-        Path | None,
-        typer.Option(
-            metavar='FILE.log', writable=True, dir_okay=False, help="file for the node's output"
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -67,12 +53,10 @@ def check_node(
     if role is not None and role not in ROLES:
         raise UsageError(f'--role {role}: unknown; known: {", ".join(ROLES)}')
     if words := _program(command):
-        role, found = _drive(words, role, patience, log)
+        role, found = _drive(words, role)
     else:
         if role is None:
             raise UsageError(f'--role: {command} is a function; give perception or controller')
-        why = f'{command} is a function, which is called without a graph'
-        refuse_given(context, ('patience', 'log'), why)
         found = check_function(role, command)
     broken = [one.clause for one in found if one.broken]
     if as_json:
@@ -102,19 +86,12 @@ def _program(command: str) -> list[str]:
     return words
 
 
-def _drive(
-    words: list[str], role: str | None, patience_s: float, log: Path | None
-) -> tuple[str, list[Finding]]:
-    """Drive a node, whose output goes to a file."""
+def _drive(words: list[str], role: str | None) -> tuple[str, list[Finding]]:
+    """Drive a node, whose output goes to a file that findings quote."""
     from taxinet_ros.testing.stage import check_node
 
-    with tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as scratch:
-        try:
-            file = log or Path(scratch.name)
-            file.write_bytes(b'')
-        except OSError as error:
-            raise UsageError(f'--log {log}: {error.strerror}') from error
-        return check_node(words, role, log=file, patience_s=patience_s)
+    with tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as log:
+        return check_node(words, role, log=Path(log.name))
 
 
 def _words(role: str, found: list[Finding]) -> str:

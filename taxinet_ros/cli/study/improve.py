@@ -67,9 +67,6 @@ def improve(
     margin: Annotated[
         float, typer.Option(help='tolerated increase of failures, as a share of all scenes')
     ] = 0.01,
-    place_margin: Annotated[
-        float, typer.Option(help='the same within any part of runway, day, pose or sky')
-    ] = 0.05,
     seed: Annotated[int, typer.Option(help='random seed')] = 1,
     workers: Annotated[
         int, typer.Option(min=1, max=8, help='worker processes; same results')
@@ -110,7 +107,7 @@ def improve(
         program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
         validation=validation, counterexamples=counterexamples, add=tuple(add or ()),
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
-        margin=margin, place_margin=place_margin, seed=seed, workers=workers,
+        margin=margin, seed=seed, workers=workers,
     )
     with_engine((), engine, audit)  # checks them before anything is made
     where = check_cluster(cluster) if cluster else ''

@@ -119,7 +119,7 @@ def see(
     out: PictureOption = None,
 ) -> None:
     """Draw what an ONNX network gets to see of a scene's first frame, and print its answer."""
-    from taxinet_ros.analysis.camera.network_view import draw_network_view
+    from taxinet_ros.analysis.camera.sheets import draw_network_view
     from taxinet_ros.cli.training.pictures import new_picture, write_picture
     from taxinet_ros.core.perception.domain import domain_words
     from taxinet_ros.core.perception.onnx.trial import tried_network

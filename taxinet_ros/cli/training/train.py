@@ -96,13 +96,6 @@ def train(
     batch: Annotated[int, typer.Option(help='batch size')] = 64,
     learning_rate: Annotated[float, typer.Option(help='maximum learning rate of the '
     'schedule')] = 3e-3,
-    patience: Annotated[
-        int,
-        typer.Option(
-            help='stop after this many epochs without improvement (0: never); the best epoch is '
-            'kept anyway, and most of the improvement comes at the end of the schedule'
-        ),
-    ] = 0,
     seed: Annotated[int, typer.Option(help='random seed')] = 1,
     device: Annotated[
         str, typer.Option(help='cpu, or cuda: train on the GPU; other weights')
@@ -140,8 +133,8 @@ def train(
         ),
         add_data=tuple(Path(text) for text in add or () if Path(text).is_dir()),
         images=images, validation=validation, varied=varied, augment=augment, epochs=epochs,
-        batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, device=device,
-        workers=workers, overwrite=overwrite, resume=resume,
+        batch=batch, learning_rate=learning_rate, seed=seed, device=device, workers=workers,
+        overwrite=overwrite, resume=resume,
     ))
 
 

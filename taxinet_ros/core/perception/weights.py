@@ -65,7 +65,8 @@ class ModelCard:
         validation: number of validation images; used to select the epoch and measure the errors.
         varied: whether the appearance of the rendered world was randomized.
         augment: whether images were augmented.
-        epochs, batch, learning_rate, patience: training parameters.
+        epochs, batch, learning_rate: training parameters.
+        patience: epochs without improvement after which older versions could stop; 0: never.
         best_epoch: epoch with the lowest validation loss; the weights are from it.
         errors: absolute errors on the validation images: for each of
             :data:`ERROR_QUANTITIES` the :data:`ERROR_STATISTICS`, [m] and [degrees].

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.arguments import PATH, takes
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.core.control_step import CONTROL_PERIOD_NS
@@ -526,6 +528,22 @@ def write_forecast(path: Path, forecast: Forecast) -> None:
         'training': json.dumps(model.features.tolist()),
         'excesses': json.dumps(model.excesses.tolist()),
     })
+
+
+@takes(path=PATH)
+def load_forecast(path: str | os.PathLike[str]) -> Forecast:
+    """Load a forecast that ``taxinet forecast calibrate`` has written.
+
+    ``.watch()`` gives an object whose ``.update(…)`` takes one control step after the other and
+    answers with the bound; ``.bounds_of(recording)`` takes a recorded run.
+
+    Args:
+        path: the file.
+
+    Raises:
+        UsageError: there is none, or it is damaged or of another version.
+    """
+    return read_forecast(Path(path))
 
 
 def read_forecast(path: Path) -> Forecast:

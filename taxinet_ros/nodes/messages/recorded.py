@@ -14,28 +14,20 @@ from rosgraph_msgs.msg import Clock
 
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.cdr.image import image_cdr
-from taxinet_ros.bag.playback import (
-    Check,
-    Portion,
-    message_check,
-    recorded_quality,
-    without_transforms,
-)
+from taxinet_ros.bag.playback import Check, Portion, message_check, recorded_quality
 from taxinet_ros.bag.reader import BagInfo
-from taxinet_ros.bag.run.topics import TF
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.perception.network import IMAGE_SHAPE, usual_frame
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.convert import time_of
-from taxinet_ros.nodes.messages.step import TransformBroadcaster
 from taxinet_ros.recordings.reader import IMAGES, picture, stamp_of
 
 _DELIVERY_S = 5.0
 
 
 class RecordedTopics:
-    """Publishers of the topics of a bag; the clock and ``tf`` are made if the bag has none.
+    """Publishers of the topics of a bag; the clock is made if the bag has none.
 
     Attributes:
         publishers: publisher by recorded name.
@@ -73,14 +65,6 @@ class RecordedTopics:
         clock, self._own_clock = interface.CLOCK, None
         if not {clock.name} & (self.publishers.keys() | excluded):
             self._own_clock = node.create_publisher(clock.type, clock.name, clock.qos)
-        self._transforms = {
-            name: TransformBroadcaster(
-                node, prefix=relative(place),
-                odometry=next(topic for topic in info.topics if topic.name == name),
-            )
-            for name, place in without_transforms(info).items()
-            if name in self.publishers and place + TF not in excluded
-        }
 
     def _add(self, topic: TopicInfo) -> None:
         check = message_check(topic) if topic.encoding == 'cdr' else None
@@ -123,8 +107,6 @@ class RecordedTopics:
             publisher = self.publishers[name]
             publisher.publish(
                 self._as_frame(message.cdr) if name == self._picture else message.cdr)
-            if name in self._transforms:
-                self._transforms[name].follow(message.cdr)
             self.count += 1
             self._heard.add(name)
             if latched:

@@ -15,7 +15,6 @@ from rclpy.node import Node
 from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.run.topics import topic_info
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
-from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.types import TaxiCommand, TrackingError
@@ -115,21 +114,13 @@ def step_reader(topic: Topic) -> Callable[[Any], Any]:
 class TransformBroadcaster:
     """Publishes ``tf_static`` once (latched), and ``tf`` with each odometry."""
 
-    def __init__(
-        self, node: Node, *, prefix: str = '', odometry: TopicInfo | None = None
-    ) -> None:
-        """Publish the wing camera's transform.
-
-        Args:
-            node: publishing node.
-            prefix: prefix of the topic names, with slash.
-            odometry: as in :class:`.OdometryTransforms`.
-        """
+    def __init__(self, node: Node) -> None:
+        """Publish the wing camera's transform."""
         self._static, self._moving = (
-            node.create_publisher(topic.type, prefix + topic.name, topic.qos)
+            node.create_publisher(topic.type, topic.name, topic.qos)
             for topic in interface.TRANSFORMS
         )
-        self._transform_of = OdometryTransforms(odometry)
+        self._transform_of = OdometryTransforms()
         self._mounted: tuple[CameraModel, ...] = (WING,)
         self._static.publish(camera_transform())
 

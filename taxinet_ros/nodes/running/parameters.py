@@ -41,7 +41,6 @@ class Parameter:
         limits: minimum and maximum of a number, both allowed.
         words: allowed values of a text.
         takes: description of other allowed texts.
-        settable: whether it can be set while the node runs.
     """
 
     name: str
@@ -50,7 +49,6 @@ class Parameter:
     limits: tuple[Any, Any] | None = None
     words: tuple[str, ...] = ()
     takes: str = ''
-    settable: bool = False
 
     @property
     def allowed(self) -> str:
@@ -65,9 +63,7 @@ class Parameter:
     @property
     def descriptor(self) -> ParameterDescriptor:
         """Descriptor for ``ros2 param describe``."""
-        descriptor = ParameterDescriptor(
-            description=self.description, read_only=not self.settable
-        )
+        descriptor = ParameterDescriptor(description=self.description, read_only=True)
         if self.limits is None:
             descriptor.additional_constraints = self.allowed
         elif isinstance(self.default, float):

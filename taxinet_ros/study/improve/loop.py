@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -162,7 +162,6 @@ class Round:
         incumbent: sha256 of the incumbent's weights.
         searched, failed: number of judged and of failed runs of the search.
         causes: display text of the causes of its failures.
-        clusters: display text of the groups of similar failures.
         candidate: sha256 of the candidate's weights; '' if there was no failure.
         decision: decision on the candidate; None if there was no failure.
     """
@@ -172,7 +171,6 @@ class Round:
     searched: int
     failed: int
     causes: tuple[str, ...] = ()
-    clusters: tuple[str, ...] = ()
     candidate: str = ''
     decision: Decision | None = None
 
@@ -188,7 +186,6 @@ class Round:
             'search failed'
         ]
         lines += [f'  cause: {words}' for words in self.causes]
-        lines += [f'  cluster: {words}' for words in self.clusters]
         if self.decision is None:
             return [*lines, '  no failures to learn from; a larger budget may find more']
         return [*lines, *self.decision.lines()]
@@ -253,7 +250,7 @@ def _round(
     analysis = read_sealed(out / _name(number, 'analyze') / 'analysis.json').values
     return Round(
         number=number, incumbent=before, searched=len(found), failed=failed,
-        causes=_words(analysis['causes']), clusters=_words(analysis['clusters']),
+        causes=tuple(str(cause['words']) for cause in analysis['causes']),
         candidate=load_model(out / _candidate(number)).fingerprint,
         decision=decide(
             judged('incumbent'), judged('candidate'), options.alpha, margin=options.margin,
@@ -265,7 +262,7 @@ def _round(
 
 
 def _rest(options: ImproveOptions, number: int, incumbent: str) -> tuple[Stage, ...]:
-    """Stages that group the failures, train on them, and run both networks on unseen scenes."""
+    """Stages that find the causes, train on them, and run both networks on unseen scenes."""
     seed = options.seed_of(number, JUDGE)
     campaigns = [_name(one, 'falsify') for one in range(1, number + 1)]
     return (
@@ -300,10 +297,6 @@ def _name(number: int, what: str) -> str:
 def _candidate(number: int) -> str:
     """Weights file that a round trains."""
     return f'{_name(number, "train")}/candidate.safetensors'
-
-
-def _words(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    return tuple(str(entry['words']) for entry in entries)
 
 
 def _copy(weights: Path, to: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ import pandas as pd
 from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting, runs_of
 from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
-from taxinet_ros.analysis.runs.settled import settled_cross_track_m
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.perception.weights import weights_path
 from taxinet_ros.core.scenario_fields import SHORT_FORMS
+from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.reading import read_file
@@ -41,7 +44,8 @@ LEARNED = 'iterative-verifai'
 """The shipped network that was trained on images of the failures that the paper's rule learned."""
 SETTLED_RUNS = 400
 """Number of bags read for a median: reading all 4,000 would take minutes per network."""
-
+SETTLED_AFTER_S = 10.0
+"""The ten seconds that phi_eventually gives a run to reach the centreline (paper, section 3.2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,6 +305,35 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
         card=(_json_values(card) if card else None) or {},
         settled_m=settled_cross_track_m(path, some),
     )
+
+
+def settled_cross_track_m(folder: Path, runs: Iterable[str]) -> np.ndarray:
+    """Median |cross-track error| [m] of each run after its first ten seconds, from its bag.
+
+    Args:
+        folder: folder of the campaign.
+        runs: run ids.
+
+    Returns:
+        One value per run; NaN if the bag is missing or damaged, or the run was shorter.
+
+    Raises:
+        UsageError: a bag belongs to another run.
+    """
+    return np.array([_settled_m(folder / run) for run in runs], dtype=np.float64)
+
+
+def _settled_m(bag: Path) -> float:
+    if not bag.is_dir():
+        return math.nan
+    try:
+        recording = open_recording(bag)
+        recording.check_is(bag.name)
+        trace = recording.columns
+    except BagError:
+        return math.nan
+    late = trace['t_ns'].astype(np.int64) >= SETTLED_AFTER_S * NS_PER_S
+    return float(np.median(np.abs(trace['cte_m'][late]))) if late.any() else math.nan
 
 
 def _pair(first: Network, second: Network) -> Pair:

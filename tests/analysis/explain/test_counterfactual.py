@@ -8,13 +8,13 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.analysis.explain.counterfactual import (
+    changed_pixels,
     effect_to_blame,
     effects,
     factors,
     reruns,
     run_factors,
 )
-from taxinet_ros.analysis.explain.occlusion import changed_pixels
 from taxinet_ros.analysis.explain.track import Moment, misled_rad, moments, read_track
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.core.camera.camera import Camera
@@ -63,6 +63,14 @@ def effects_on(scenario, condition):
     moment = moment_in(scenario, look)
     assert abs(moment.misled_rad) > math.radians(5)
     return moment, effects(scenario, [moment], look, GAINS)
+
+
+def test_given_two_frames_then_pixels_that_differ_in_any_colour_are_found():
+    frame = np.full((20, 30, 3), 90, np.uint8)
+    other = frame.copy()
+    other[3, 5, 1] += 5
+    other[9, 8, 2] += 4
+    assert np.argwhere(changed_pixels(frame, other)).tolist() == [[3, 5]]
 
 
 def test_given_a_network_fooled_only_by_a_van_then_others_on_the_ground_are_blamed():

@@ -102,17 +102,15 @@ def test_given_several_criteria_then_one_that_fails_is_enough_and_one_open_keeps
     assert gate_result(rows(10, 90, off=4), both).verdict is Verdict.FAIL
 
 
-def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_asked():
+def test_given_a_broken_bench_then_it_is_counted_and_fails():
     broken = [row(100 + number, Outcome.INFRA_ERROR, kind='died') for number in range(2)]
     strict = gate_result([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5))
     assert strict.verdict is Verdict.FAIL
     assert strict.criteria[-1].name == 'runs broken by the bench: at most 0'
     assert (strict.judged, strict.counts[Outcome.INFRA_ERROR]) == (100, 2)
-    lenient = gate_result([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5, max_infra=2))
-    assert lenient.verdict is Verdict.PASS
-    assert '2 runs were broken by the bench and are in no share' in lenient.criteria[-1].sentence
-    nothing = gate_result(broken, GateOptions(min_satisfaction=0.95, max_infra=2))
-    assert nothing.verdict is Verdict.INCONCLUSIVE
+    assert '2 runs were broken by the bench and are in no share' in strict.criteria[-1].sentence
+    nothing = gate_result(broken, GateOptions(min_satisfaction=0.95))
+    assert nothing.criteria[0].verdict is Verdict.INCONCLUSIVE
     assert nothing.criteria[0].sentence == 'no run was judged: 72 runs, all good, would suffice'
 
 
@@ -176,7 +174,6 @@ def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
         ({'max_off_runway': -0.1}, 'max_off_runway -0.1: a share'),
         ({'max_off_runway': math.nan}, 'max_off_runway nan'),
         ({'min_satisfaction': 0.5, 'confidence': 95}, 'confidence 95: needs'),
-        ({'min_satisfaction': 0.5, 'max_infra': -1}, 'max_infra -1'),
         ({}, 'give a threshold'),
         ({'margin': 1.5}, 'margin 1.5: a share'),
         ({'margin': 0.1, 'look': Look.SEQUENTIAL}, 'baseline: not with sequential'),
@@ -307,7 +304,7 @@ def test_given_a_failed_criterion_then_its_text_has_figures_worst_run_and_the_ne
     (rows(45, 5), GateOptions(min_satisfaction=0.86), 'taxinet plan c --min-satisfaction 0.86'),
     (rows(45, 5), GateOptions(max_off_runway=0.01), 'taxinet plan c --max-off-runway 0.01'),
     (rows(0, 50, off=50), GateOptions(max_off_runway=0.01), 'taxinet why c'),
-    ([row(0, Outcome.INFRA_ERROR)], GateOptions(min_satisfaction=0.1, max_infra=0), ''),
+    ([row(0, Outcome.INFRA_ERROR)], GateOptions(min_satisfaction=0.1), ''),
 ])
 def test_given_an_answer_then_the_next_command_fits_it(runs, options, command):
     first, *_, last = gate_result(runs, options, folder='c').criteria

@@ -168,8 +168,7 @@ def test_given_no_run_inside_then_nothing_is_covered_and_the_picture_is_drawn_al
     found = odd_coverage(small(tmp_path), [runs(tmp_path / 'one', frame)])
     assert found.inside == 0
     assert [one.covered for one in found.strengths] == [0, 0, 0]
-    assert found.hole is None
-    assert json.loads(json.dumps(coverage_json(found), allow_nan=False))['dispersion'] is None
+    assert json.loads(json.dumps(coverage_json(found), allow_nan=False))['inside']['rate'] is None
     data = pictures.png_bytes(coverage_picture(found), pictures.LIGHT)
     assert data.startswith(b'\x89PNG')
 
@@ -180,7 +179,4 @@ def test_given_one_parameter_then_there_are_no_pairs(tmp_path, monkeypatch):
     found = odd_coverage(small(tmp_path, text), [runs(tmp_path / 'one')])
     assert [one.t for one in found.strengths] == [1]
     assert found.pairs == {}
-    # Hours 7, 7, 7, 7, 8, 11, 12, of 6 to 18: the far end is half of it away.
-    assert found.hole.radius == pytest.approx(0.5)
-    assert found.hole_words() == {'time_of_day_h': '18:00'}
     assert pictures.png_bytes(coverage_picture(found), pictures.LIGHT)

@@ -110,7 +110,6 @@ def test_given_five_outcomes_at_the_gate_then_junit_and_words_tell_them_apart(
     assert '24 PASS, 12 FAIL, 2 REJECTED, 3 INFRA_ERROR, 1 INTERRUPTED' in out
     assert '66.67 % of 36 runs are satisfied' in out
     assert '3 runs were broken by the bench and are in no share: 2 timeout, 1 died' in out
-    assert taxinet(*asked, '--max-infra', '3')[0] == 0
     values = json.loads(taxinet(*asked, '--json')[1])
     assert values['outcomes'] == {outcome.value: number for outcome, number in COUNTS.items()}
     assert values['judged'] == JUDGED

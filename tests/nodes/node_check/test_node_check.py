@@ -280,35 +280,18 @@ def test_given_quality_of_service_then_what_can_lose_messages_is_named(
         assert clauses.qos(seen) == '1 ends'
 
 
-@pytest.mark.parametrize(('words', 'says'), [
-    (('--log', 'no_such_folder/x.log'), 'No such file or directory'),
-    (('--log', '/'), 'is a directory'),
-    (('--patience', 'nan'), "'--patience': Input should be"),
-])
-def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(words, says, taxinet):
-    code, out, err = taxinet('check-node', 'true', *words)
-    assert (code, out, says in err) == (2, '', True), err
-
-
-@pytest.mark.parametrize(('words', 'says'), [
-    ((f'{HERE}/wrong_node.py',), "give 'python3 "),
-    ((f'{HERE}/wrong_node.py:main', '--role', 'controller', '--patience', '9'),
-     '--patience: '),
-])
-def test_given_a_file_of_python_then_it_is_no_command(words, says, taxinet):
-    code, _, err = taxinet('check-node', *words)
-    assert (code, says in err) == (2, True), err
+def test_given_a_file_of_python_then_it_is_no_command(taxinet):
+    code, _, err = taxinet('check-node', f'{HERE}/wrong_node.py')
+    assert (code, "give 'python3 " in err) == (2, True), err
 
 
 def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, taxinet):
     program = tmp_path / 'mine.py'
     program.write_text('#!/bin/sh\necho out of paint\nexit 3\n')
     program.chmod(0o755)
-    words = ('--role', 'controller', '--log', 'node.log', '--json')
-    code, out, err = taxinet('check-node', program, *words)
+    code, out, err = taxinet('check-node', program, '--role', 'controller', '--json')
     assert (code, 'breaks: starts' in err) == (2, True)
     assert json.loads(out)['clauses'][0]['came'] == 'exit code 3: out of paint'
-    assert (tmp_path / 'node.log').read_text() == 'out of paint\n'
 
 
 def test_the_kit_takes_a_command_as_it_takes_a_function():

@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxinet_ros.analysis.runs.settled import settled_cross_track_m
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.study.report.results import settled_cross_track_m
 
 GOLDEN = Path(__file__).resolve().parents[3] / 'bags' / 'golden'
 
