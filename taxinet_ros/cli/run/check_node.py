@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.options import JsonOption, refuse_given
 from taxinet_ros.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ _NAME_WIDTH, _LINE_WIDTH = 14, 100
 
 
 def check_node(
+    context: typer.Context,
     command: Annotated[
         str,
         typer.Argument(
@@ -38,6 +39,13 @@ def check_node(
             help='perception or controller (default: detected; a function needs it)',
         ),
     ] = None,
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=3600.0, metavar='SECONDS',
+            help='timeout for an answer; three times as long for READY',
+        ),
+    ] = 10.0,
     as_json: JsonOption = False,
 ) -> int:
     """Test your own node against the lockstep protocol.
@@ -53,10 +61,12 @@ def check_node(
     if role is not None and role not in ROLES:
         raise UsageError(f'--role {role}: unknown; known: {", ".join(ROLES)}')
     if words := _program(command):
-        role, found = _drive(words, role)
+        role, found = _drive(words, role, patience)
     else:
         if role is None:
             raise UsageError(f'--role: {command} is a function; give perception or controller')
+        why = f'{command} is a function, which is called without a graph'
+        refuse_given(context, ('patience',), why)
         found = check_function(role, command)
     broken = [one.clause for one in found if one.broken]
     if as_json:
@@ -86,12 +96,14 @@ def _program(command: str) -> list[str]:
     return words
 
 
-def _drive(words: list[str], role: str | None) -> tuple[str, list[Finding]]:
+def _drive(
+    words: list[str], role: str | None, patience_s: float
+) -> tuple[str, list[Finding]]:
     """Drive a node, whose output goes to a file that findings quote."""
     from taxinet_ros.testing.stage import check_node
 
     with tempfile.NamedTemporaryFile(prefix='taxinet-', suffix='.log') as log:
-        return check_node(words, role, log=Path(log.name))
+        return check_node(words, role, log=Path(log.name), patience_s=patience_s)
 
 
 def _words(role: str, found: list[Finding]) -> str:

@@ -280,9 +280,14 @@ def test_given_quality_of_service_then_what_can_lose_messages_is_named(
         assert clauses.qos(seen) == '1 ends'
 
 
-def test_given_a_file_of_python_then_it_is_no_command(taxinet):
-    code, _, err = taxinet('check-node', f'{HERE}/wrong_node.py')
-    assert (code, "give 'python3 " in err) == (2, True), err
+@pytest.mark.parametrize(('words', 'says'), [
+    ((f'{HERE}/wrong_node.py',), "give 'python3 "),
+    ((f'{HERE}/wrong_node.py:main', '--role', 'controller', '--patience', '9'),
+     '--patience: '),
+])
+def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(words, says, taxinet):
+    code, _, err = taxinet('check-node', *words)
+    assert (code, says in err) == (2, True), err
 
 
 def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, taxinet):
