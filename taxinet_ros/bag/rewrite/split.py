@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from taxinet_ros.bag.cdr.alignment import Canonical
@@ -11,21 +11,33 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.rewrite.copying import storable_topic, write_steps
-from taxinet_ros.bag.run.message_values import scenario_json
+from taxinet_ros.bag.run.message_values import scenario_json, scenario_of
 from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, outcome_words
+from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, bag_topics, outcome_words
 from taxinet_ros.bag.run.runs import RANK_IN_STEP, RunPart
-from taxinet_ros.bag.run.topics import NODE_STATUS, RUN_STATUS, SCENARIO, VERDICT
+from taxinet_ros.bag.run.topics import (
+    NODE_STATUS,
+    ODOMETRY,
+    RUN_STATUS,
+    SCENARIO,
+    TF_STATIC,
+    VERDICT,
+    is_of_frames,
+    is_topic,
+)
+from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.storage.reader import StoredMessage
+from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.errors import UsageError
 
 
 def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
     """Write a bag for each selected run, as by the recorder node.
 
-    Messages are the same. Attachments and metadata are derived from them; Scenic program, versions
-    and machine are in no message and so are missing.
+    Messages are the same. Attachments, metadata and transforms are derived from them; Scenic
+    program, versions and machine are in no message and so are missing.
 
     Args:
         recording: recording of several runs, or by another recorder.
@@ -68,18 +80,36 @@ def _write_run(
         'run_id': run.run_id, 'program': str(scenario.program), 'seed': str(scenario.seed),
         'index': str(scenario.index), 'split_from': recording.path.name,
     }
+    frames = [topic for topic in bag_topics() if is_of_frames(topic.name)]
+    ordered_messages = (
+        stored._replace(cdr=canonical.message(stored.topic.name, stored.cdr))
+        for stored in sorted(messages, key=_place)
+    )
     with BagWriter(
-        folders[run.name], topics, metadata=words,
+        folders[run.name], [*topics, *frames], metadata=words,
         attachments={'scenario.json': scenario_json(scenario)}, min_free_bytes=0,
     ) as bag:
-        write_steps(bag, (
-            stored._replace(cdr=canonical.message(stored.topic.name, stored.cdr))
-            for stored in sorted(messages, key=_place)
-        ))
+        write_steps(bag, _with_frames(ordered_messages, frames, scenario_of(scenario).cameras))
         for stored in messages:
             if stored.topic.name == f'/{RUN_STATUS}':
                 status = decode(stored.topic, stored.cdr)
                 bag.add_metadata(OUTCOME_METADATA, outcome_words(status, len(run.stamps_ns)))
+
+
+def _with_frames(
+    messages: Iterable[StoredMessage], frames: Iterable[TopicInfo],
+    cameras: tuple[CameraModel, ...],
+) -> Iterator[StoredMessage]:
+    """The messages of a run with its transforms, where the recorder puts them."""
+    fixed, moving = sorted(frames, key=lambda topic: not is_topic(topic.name, TF_STATIC))
+    transform_of, begun = OdometryTransforms(), False
+    for stored in messages:
+        if not begun and stored.topic.name.removeprefix('/') not in (SCENARIO, NODE_STATUS):
+            begun = True
+            yield StoredMessage(fixed, 0, camera_transform(*cameras), 0)
+        yield stored
+        if stored.topic.name == f'/{ODOMETRY}':
+            yield stored._replace(topic=moving, cdr=transform_of(stored.cdr))
 
 
 def _place(stored: StoredMessage) -> tuple[int, int, int, str]:

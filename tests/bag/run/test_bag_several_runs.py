@@ -14,8 +14,10 @@ from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.judge import JudgedBag, judge_runs
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.playback import open_bag
+from taxinet_ros.bag.reader import stored_messages
 from taxinet_ros.bag.run.judging import BagVerdict
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.run.topics import is_of_frames
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.errors import UsageError
 
@@ -146,6 +148,11 @@ def test_ros1_given_one_run_of_several_then_it_is_exported_and_compared_as_our_o
     assert taxinet('bag', 'export', both, '--topics', 'rosout', '--out', other)[0] == 0
 
 
+def transforms(bag: Path) -> list[tuple[str, int, bytes]]:
+    return [(stored.topic.name, stored.stamp_ns, stored.cdr)
+            for stored in stored_messages(bag, is_of_frames)]
+
+
 def test_ros1_given_a_recording_when_split_then_every_bag_is_whole_and_the_same_as_ours(
     both, tmp_path, taxinet
 ):
@@ -157,6 +164,7 @@ def test_ros1_given_a_recording_when_split_then_every_bag_is_whole_and_the_same_
         assert all(topic.equal for topic in compare_bags(own, new))
         assert open_recording(new).plain
         assert open_recording(new).run == open_recording(own).run
+        assert transforms(new) == transforms(own)
         assert taxinet('doctor', new)[0] == 0
     code, _, err = taxinet('bag', 'split', both, '--out', tmp_path / 'runs')
     assert (code, len(err.splitlines())) == (2, 1)
