@@ -57,16 +57,18 @@ class OwnShadow:
             height: of the pictures [px].
             width: of the pictures [px].
         """
-        self._points = np.concatenate([part.points for part in outline])
-        self._starts = np.cumsum([0, *(len(part.points) for part in outline[:-1])]).tolist()
+        points = np.concatenate([part.points for part in outline])
+        starts = np.cumsum([0, *(len(part.points) for part in outline[:-1])]).tolist()
         self._size = (height, width)
         self._penumbra_px = 1 + 2 * math.ceil(0.5 * intrinsics[0, 0] * _THROW * sun_width_rad)
-        self._intrinsics = intrinsics
-        self._flatten = np.eye(3)
-        self._flatten[:, 2] -= sun / sun[2]
+        self._cast = pixels.Shadow(
+            points, starts, sun, intrinsics, self._size, _NEAREST_M, _FARTHEST_PX,
+            self._penumbra_px,
+        )
 
     def mask(
-        self, body: Vectors, place: Vectors, to_optical: Vectors, camera: Vectors
+        self, body: Vectors, place: tuple[float, float, float], to_optical: Vectors,
+        camera: Vectors,
     ) -> Mask | None:
         """The shadow in the image; None if not in view.
 
@@ -76,24 +78,15 @@ class OwnShadow:
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
             camera: the camera's place in ``map`` (3,).
         """
-        turn = to_optical @ self._flatten
-        optical = self._points @ (turn @ body).T + (turn @ place - to_optical @ camera)
-        corners = pixels.outlines(
-            optical, self._starts, self._intrinsics, self._size, _NEAREST_M, _FARTHEST_PX
-        )
-        polygons = [np.asarray(cv2.convexHull(part), np.int32) for part in corners]
-        if not polygons:
+        seen = self._cast.outlines(body, place, to_optical, camera)
+        if seen is None:
             return None
+        rows, columns, outlines = seen
         mask = np.zeros(self._size, np.uint8)
-        for polygon in polygons:
-            cv2.fillConvexPoly(mask, polygon, (255,), lineType=cv2.LINE_AA, shift=_SHIFT)
-        left, top, width, height = cv2.boundingRect(np.concatenate(polygons) >> _SHIFT)
-        margin = self._penumbra_px
-        rows = slice(max(top - margin, 0), min(top + height + margin, self._size[0]))
-        columns = slice(max(left - margin, 0), min(left + width + margin, self._size[1]))
-        if rows.start >= rows.stop or columns.start >= columns.stop:
-            return None  # it only seemed to be in view
-        soft = cv2.blur(mask[rows, columns], (margin, margin))
+        for outline in outlines:
+            hull = cv2.convexHull(outline)
+            cv2.fillConvexPoly(mask, hull, (255,), lineType=cv2.LINE_AA, shift=_SHIFT)
+        soft = cv2.blur(mask[rows, columns], (self._penumbra_px, self._penumbra_px))
         return rows, columns, np.asarray(soft, np.uint8)
 
 

@@ -270,7 +270,7 @@ class Camera:
         body, to_optical, camera = at
         shadow: Mask | None = None
         if self._shadow is not None:
-            place = np.array([state.x_m, state.y_m, state.z_m])
+            place = state.x_m, state.y_m, state.z_m
             shadow = self._shadow.mask(body, place, to_optical, camera)
             if shadow is not None:
                 rows, columns, mask = shadow
