@@ -157,6 +157,7 @@ class _HandDrawing:
     columns: slice
     behind: NDArray[np.uint8]
     hidden: NDArray[np.int32]
+    paints: NDArray[np.intp]
     albedo: Vectors
     opacity: Vectors
 
@@ -168,7 +169,8 @@ class _HandDrawing:
             facing = max(0.0, float(light.sun @ (cos * x - sin * y, sin * x + cos * y, z)))
             beam = light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
         shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
-        return np.rint(display_code(self.albedo * shine) * self.opacity).astype(np.uint8)
+        codes = display_code(self.albedo * shine)[self.paints]
+        return np.rint(codes * self.opacity).astype(np.uint8)
 
 
 @lru_cache(maxsize=8)
@@ -198,9 +200,12 @@ def _hand_drawing(camera: CameraModel, size: tuple[int, int]) -> _HandDrawing | 
     seen = np.pad(behind.any(axis=2), ((0, 0), (0, 1)), constant_values=True)
     hidden: NDArray[np.int32] = seen.argmax(axis=1).astype(np.int32)
     hidden.flags.writeable = False
+    colours = (mixed / np.maximum(weight, 1e-6) / 255).reshape(-1, 3)
+    # Far fewer than pixels, and each is lit once for every heading.
+    palette, paints = np.unique(colours, axis=0, return_inverse=True)
     return _HandDrawing(
         rows=slice(0, height), columns=slice(0, width), behind=behind, hidden=hidden,
-        albedo=(mixed / np.maximum(weight, 1e-6) / 255) ** GAMMA,
+        paints=paints.reshape(height, width), albedo=palette**GAMMA,
         opacity=np.asarray(weight, np.float64),
     )
 

@@ -67,6 +67,10 @@ std::array<int, 2> touched(const std::vector<Corners> &outlines, int axis, int e
             std::min((last >> kFractionBits) + 1 + edge_px, count)};
 }
 
+py::slice slice(int first, int end) {
+    return py::slice(py::int_(first), py::int_(end), py::none());
+}
+
 }  // namespace
 
 Shadow::Shadow(const Doubles &corners, std::vector<int> starts, const Point &sun,
@@ -97,7 +101,7 @@ std::optional<Shadow::Seen> Shadow::outlines(const Doubles &body, const Point &p
     if (left >= right || top >= bottom) {
         return std::nullopt;  // they only seemed to be in view
     }
-    return Seen{py::slice(top, bottom, 1), py::slice(left, right, 1), found};
+    return Seen{slice(top, bottom), slice(left, right), found};
 }
 
 }  // namespace pixels
