@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Protocol
 
 from taxinet_ros.bag.layout import run_folder
@@ -115,7 +115,7 @@ class Loop:
         parts, perception = self._parts_of(request)
         watched = _Watched(perception, parts.controller, parts.world)
         try:
-            with _blamed(topics.RECORDER, InfraKind.BAG):
+            with _Blamed(topics.RECORDER, InfraKind.BAG):
                 bag = self._open_bag(request, parts)
             result = self._run(request, watched, bag, on_step)
         except InfraError as error:  # of the recording
@@ -152,13 +152,13 @@ class Loop:
         filmed = self._images == 'all'
 
         def record(step: Step) -> None:
-            with _blamed(topics.RECORDER, InfraKind.BAG):
+            with _Blamed(topics.RECORDER, InfraKind.BAG):
                 bag.step(step, step.observation.image if filmed else None)
             on_step(watched.seq)
 
         try:
             result, judged = self._drive(request, watched, record, filmed=filmed)
-            with _blamed(topics.RECORDER, InfraKind.BAG):
+            with _Blamed(topics.RECORDER, InfraKind.BAG):
                 if not watched.complete and watched.now is not None:
                     picture = watched.now.image if filmed else None
                     bag.torn_step(watched.now, picture, watched.estimate)
@@ -179,7 +179,7 @@ class Loop:
         def take(step: Step) -> None:
             watched.complete = True
             if observer is not None:
-                with _blamed(topics.STEERING_CONTROLLER):
+                with _Blamed(topics.STEERING_CONTROLLER):
                     observer.take(step)
             on_step(step)
             if self.interrupted:
@@ -237,7 +237,7 @@ def _observer(request: RunRequest) -> Observer | None:
     if not (isinstance(request, Task) and request.observer):
         return None
     module, _, name = request.observer.partition(':')
-    with _blamed(topics.STEERING_CONTROLLER):
+    with _Blamed(topics.STEERING_CONTROLLER):
         made: Observer = getattr(importlib.import_module(module), name)(
             request.scenario, request.observed
         )
@@ -277,7 +277,7 @@ class _Part:
         self, part: Any, node: str, kind: InfraKind = InfraKind.NODE_ERROR,
         seen: Callable[[str, Any], None] = lambda method, result: None,
     ) -> None:
-        self._part, self._node, self._kind, self._seen = part, node, kind, seen
+        self._part, self._blamed, self._seen = part, _Blamed(node, kind), seen
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._part, name)
@@ -285,16 +285,17 @@ class _Part:
             return found
 
         def call(*arguments: Any, **named: Any) -> Any:
-            with _blamed(self._node, self._kind):
+            with self._blamed:
                 result = found(*arguments, **named)
             self._seen(name, result)
             return result
 
+        setattr(self, name, call)  # the next step finds it without this
         return call
 
     def close(self) -> None:
         """Close a world that has something to give back."""
-        with _blamed(self._node, self._kind):
+        with self._blamed:
             close_world(self._part)
 
 
@@ -313,7 +314,7 @@ class _Watched:
 
     def world(self, scenario: Scenario, *, pictures: bool) -> Any:
         """Make the world of the run."""
-        with _blamed(topics.SIMULATOR, InfraKind.SIM):
+        with _Blamed(topics.SIMULATOR, InfraKind.SIM):
             world = self._world.make(scenario, pictures=pictures)
         return _Part(world, topics.SIMULATOR, InfraKind.SIM, self._take)
 
@@ -329,15 +330,21 @@ class _Watched:
         return -1 if self.now is None else self.now.seq
 
 
-@contextmanager
-def _blamed(node: str, kind: InfraKind = InfraKind.NODE_ERROR) -> Iterator[None]:
+class _Blamed:
     """Context in which a part runs; its failure is an infrastructure error of its node."""
-    try:
-        yield
-    except InfraError:
-        raise
-    except Exception as error:
-        raise InfraError(kind, node, -1, _one_line(error)) from error
+
+    def __init__(self, node: str, kind: InfraKind = InfraKind.NODE_ERROR) -> None:
+        self._node, self._kind = node, kind
+
+    def __enter__(self) -> None:
+        return
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(error, Exception) and not isinstance(error, InfraError):
+            raise InfraError(self._kind, self._node, -1, _one_line(error)) from error
 
 
 def _one_line(error: BaseException) -> str:

@@ -57,16 +57,18 @@ class OwnShadow:
             height: of the pictures [px].
             width: of the pictures [px].
         """
-        self._points = np.concatenate([part.points for part in outline])
-        self._starts = np.cumsum([0, *(len(part.points) for part in outline[:-1])]).tolist()
+        points = np.concatenate([part.points for part in outline])
+        starts = np.cumsum([0, *(len(part.points) for part in outline[:-1])]).tolist()
         self._size = (height, width)
         self._penumbra_px = 1 + 2 * math.ceil(0.5 * intrinsics[0, 0] * _THROW * sun_width_rad)
-        self._intrinsics = intrinsics
-        self._flatten = np.eye(3)
-        self._flatten[:, 2] -= sun / sun[2]
+        self._cast = pixels.Shadow(
+            points, starts, sun, intrinsics, self._size, _NEAREST_M, _FARTHEST_PX,
+            self._penumbra_px,
+        )
 
     def mask(
-        self, body: Vectors, place: Vectors, to_optical: Vectors, camera: Vectors
+        self, body: Vectors, place: tuple[float, float, float], to_optical: Vectors,
+        camera: Vectors,
     ) -> Mask | None:
         """The shadow in the image; None if not in view.
 
@@ -76,24 +78,15 @@ class OwnShadow:
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
             camera: the camera's place in ``map`` (3,).
         """
-        turn = to_optical @ self._flatten
-        optical = self._points @ (turn @ body).T + (turn @ place - to_optical @ camera)
-        corners = pixels.outlines(
-            optical, self._starts, self._intrinsics, self._size, _NEAREST_M, _FARTHEST_PX
-        )
-        polygons = [np.asarray(cv2.convexHull(part), np.int32) for part in corners]
-        if not polygons:
+        seen = self._cast.outlines(body, place, to_optical, camera)
+        if seen is None:
             return None
+        rows, columns, outlines = seen
         mask = np.zeros(self._size, np.uint8)
-        for polygon in polygons:
-            cv2.fillConvexPoly(mask, polygon, (255,), lineType=cv2.LINE_AA, shift=_SHIFT)
-        left, top, width, height = cv2.boundingRect(np.concatenate(polygons) >> _SHIFT)
-        margin = self._penumbra_px
-        rows = slice(max(top - margin, 0), min(top + height + margin, self._size[0]))
-        columns = slice(max(left - margin, 0), min(left + width + margin, self._size[1]))
-        if rows.start >= rows.stop or columns.start >= columns.stop:
-            return None  # it only seemed to be in view
-        soft = cv2.blur(mask[rows, columns], (margin, margin))
+        for outline in outlines:
+            hull = cv2.convexHull(outline)
+            cv2.fillConvexPoly(mask, hull, (255,), lineType=cv2.LINE_AA, shift=_SHIFT)
+        soft = cv2.blur(mask[rows, columns], (self._penumbra_px, self._penumbra_px))
         return rows, columns, np.asarray(soft, np.uint8)
 
 
@@ -164,6 +157,7 @@ class _HandDrawing:
     columns: slice
     behind: NDArray[np.uint8]
     hidden: NDArray[np.int32]
+    paints: NDArray[np.intp]
     albedo: Vectors
     opacity: Vectors
 
@@ -175,7 +169,8 @@ class _HandDrawing:
             facing = max(0.0, float(light.sun @ (cos * x - sin * y, sin * x + cos * y, z)))
             beam = light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
         shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
-        return np.rint(display_code(self.albedo * shine) * self.opacity).astype(np.uint8)
+        codes = display_code(self.albedo * shine)[self.paints]
+        return np.rint(codes * self.opacity).astype(np.uint8)
 
 
 @lru_cache(maxsize=8)
@@ -205,9 +200,12 @@ def _hand_drawing(camera: CameraModel, size: tuple[int, int]) -> _HandDrawing | 
     seen = np.pad(behind.any(axis=2), ((0, 0), (0, 1)), constant_values=True)
     hidden: NDArray[np.int32] = seen.argmax(axis=1).astype(np.int32)
     hidden.flags.writeable = False
+    colours = (mixed / np.maximum(weight, 1e-6) / 255).reshape(-1, 3)
+    # Far fewer than pixels, and each is lit once for every heading.
+    palette, paints = np.unique(colours, axis=0, return_inverse=True)
     return _HandDrawing(
         rows=slice(0, height), columns=slice(0, width), behind=behind, hidden=hidden,
-        albedo=(mixed / np.maximum(weight, 1e-6) / 255) ** GAMMA,
+        paints=paints.reshape(height, width), albedo=palette**GAMMA,
         opacity=np.asarray(weight, np.float64),
     )
 

@@ -177,7 +177,10 @@ class Atmosphere:
         """Strips of columns, each with the rays of its own pixels."""
         width = self._size[1]
         tilt = abs(float(rays[2, 0] / rays[2, 1])) if self._in_strips else 0.0
-        step = width if tilt * width <= _ROWS_IN_STRIP else max(1, int(_ROWS_IN_STRIP / tilt))
+        if tilt * width <= _ROWS_IN_STRIP:
+            yield slice(0, width), rays
+            return
+        step = max(1, int(_ROWS_IN_STRIP / tilt))
         for first in range(0, width, step):
             aimed = rays.copy()
             aimed[:, 2] += first * rays[:, 0]

@@ -270,11 +270,11 @@ class Camera:
         body, to_optical, camera = at
         shadow: Mask | None = None
         if self._shadow is not None:
-            place = np.array([state.x_m, state.y_m, state.z_m])
+            place = state.x_m, state.y_m, state.z_m
             shadow = self._shadow.mask(body, place, to_optical, camera)
             if shadow is not None:
                 rows, columns, mask = shadow
-                depth = 1 - self._light.shade_factor(self._clouds.sun_share(state.x_m, state.y_m))
+                depth = self._clouds.shadow_depth(state.x_m, state.y_m)
                 pixels.tint_masked(colour[rows, columns], mask, depth)
             mark('own shadow')
         if self._objects is not None:

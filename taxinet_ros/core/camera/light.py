@@ -278,6 +278,7 @@ class CloudShade:
         self._beam = _beam(light.clouds) if casts else None
         rows = np.arange(height, dtype=np.float64)
         self._middle = np.stack([np.full_like(rows, (width - 1) / 2), rows, np.ones_like(rows)])
+        self._depth = 1 - light.shade_factor()
 
     @property
     def casts(self) -> bool:
@@ -289,6 +290,12 @@ class CloudShade:
         if self._beam is None:
             return 1.0
         return float(self._look_up(np.array([x_m]), np.array([y_m]))[0])
+
+    def shadow_depth(self, x_m: float, y_m: float) -> Colour:
+        """How far a shadow at a point in ``map`` darkens display codes of ground, RGB, 0..1."""
+        if self._beam is None:
+            return self._depth
+        return 1 - self._light.shade_factor(self.sun_share(x_m, y_m))
 
     def shade(
         self, colour: NDArray[np.uint8], rays: NDArray[np.float64], camera: NDArray[np.float64]

@@ -178,8 +178,7 @@ class ObjectsView:
                 before = shaded[rows, columns]
                 more = cv2.subtract(mask, before)
                 np.maximum(before, mask, out=before)
-                share = self._clouds.sun_share(pose.x_m, pose.y_m)
-                depth = 1 - self._light.shade_factor(share)
+                depth = self._clouds.shadow_depth(pose.x_m, pose.y_m)
                 pixels.tint_masked(ground[rows, columns], np.ascontiguousarray(more), depth)
 
     def draw_solids(

@@ -265,6 +265,49 @@ class Network:
     def infer(self, pictures: _Floats) -> _Floats:
         """Outputs (N, output channels) for pictures (N, height, width, channels)."""
 
+class Shadow:
+    """Casts the shadows of the convex parts of a body on level ground."""
+
+    def __init__(
+        self,
+        corners: _Doubles,
+        starts: Sequence[int],
+        sun: Sequence[float] | _Doubles,
+        intrinsics: _Doubles,
+        size: tuple[int, int],
+        nearest_m: float,
+        farthest_px: float,
+        edge_px: int,
+    ) -> None:
+        """Store the parts.
+
+        Args:
+            corners: corners of all parts, (N, 3), in the body frame [m].
+            starts: index of the first corner of each part, in order.
+            sun: unit vector towards the sun in ``map``; its z is positive.
+            intrinsics: camera matrix, (3, 3), without skew.
+            size: image height and width [px].
+            nearest_m: minimum depth; shadows are clipped there.
+            farthest_px: limit to which pixel coordinates are clamped.
+            edge_px: width of the shadows' soft edge.
+        """
+
+    def outlines(
+        self, body: _Doubles, place: _Three, to_optical: _Doubles, camera: _Doubles
+    ) -> tuple[slice, slice, list[NDArray[np.int32]]] | None:
+        """Project the shadows into the image.
+
+        Args:
+            body: rotation from the body frame to ``map``, (3, 3).
+            place: place of the body in ``map`` [m].
+            to_optical: rotation from ``map`` to the camera's optical frame, (3, 3).
+            camera: place of the camera in ``map``, (3,) [m].
+
+        Returns:
+            Rows and columns of the image that they may touch, and for each part what
+            :func:`outlines` gives; None if they are not in view.
+        """
+
 def outlines(
     corners: _Doubles,
     starts: Sequence[int],

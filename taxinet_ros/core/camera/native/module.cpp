@@ -9,6 +9,7 @@
 #include "network.hpp"
 #include "outline.hpp"
 #include "reduction.hpp"
+#include "shadow.hpp"
 #include "skyline.hpp"
 #include "vectors.hpp"
 #include "warp.hpp"
@@ -134,7 +135,16 @@ PYBIND11_MODULE(pixels, module) {
         .def(py::init<int, int, std::vector<Convolution>>(), py::arg("height"), py::arg("width"),
              py::arg("layers"))
         .def("infer", &Network::infer, py::arg("pictures").noconvert());
-    module.def("outlines", &outlines);
+    py::class_<Shadow>(module, "Shadow")
+        .def(py::init<const Doubles &, std::vector<int>, const Point &, const Doubles &,
+                      const std::array<int, 2> &, double, double, int>())
+        .def("outlines", &Shadow::outlines);
+    module.def("outlines", [](const Doubles &corners, const std::vector<int> &starts,
+                              const Doubles &intrinsics, const std::array<int, 2> &size,
+                              double nearest_m, double farthest_px) {
+        return Pinhole(intrinsics, size, nearest_m, farthest_px)
+            .outlines(points_of(corners, starts), starts);
+    });
     // noconvert: output arrays must not be converted copies, and large inputs must not be copied.
     module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));
     module.def("tint_masked", &tint_masked, py::arg("picture").noconvert(),

@@ -10,6 +10,7 @@
 #include "outline.cpp"
 #include "product.cpp"
 #include "reduction.cpp"
+#include "shadow.cpp"
 #include "sight.cpp"
 #include "skyline.cpp"
 #include "warp.cpp"

@@ -1,0 +1,107 @@
+#include "shadow.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace pixels {
+namespace {
+
+using Matrix = std::array<Point, 3>;
+
+Matrix matrix_of(const Doubles &numbers) {
+    require(numbers.ndim() == 2 && numbers.shape(0) == 3 && numbers.shape(1) == 3,
+            "a rotation is (3, 3)");
+    Matrix matrix;
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            matrix[i][j] = numbers.at(i, j);
+        }
+    }
+    return matrix;
+}
+
+// Products with the roundings of OpenBLAS for processors that fuse, so that pictures of versions
+// that used NumPy here keep their bytes.
+Matrix product(const Matrix &a, const Matrix &b) {
+    Matrix found;
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            found[i][j] =
+                std::fma(a[i][2], b[2][j], std::fma(a[i][1], b[1][j], a[i][0] * b[0][j]));
+        }
+    }
+    return found;
+}
+
+Point product(const Matrix &a, const Point &b) {
+    Point found;
+    for (int i = 0; i < 3; ++i) {
+        found[i] = std::fma(a[i][2], b[2], std::fma(a[i][0], b[0], a[i][1] * b[1]));
+    }
+    return found;
+}
+
+FOR_EACH_PROCESSOR void place_points(const Matrix &turn, const Point &shift, const Point *points,
+                                     int count, Point *placed) {
+    for (int i = 0; i < count; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            const double sum = __builtin_fma(
+                points[i][2], turn[j][2],
+                __builtin_fma(points[i][1], turn[j][1], points[i][0] * turn[j][0]));
+            placed[i][j] = sum + shift[j];
+        }
+    }
+}
+
+// Rows or columns within `edge_px` of outlines, of `count` in all.
+std::array<int, 2> touched(const std::vector<Corners> &outlines, int axis, int edge_px, int count) {
+    int first = std::numeric_limits<int>::max(), last = std::numeric_limits<int>::min();
+    for (const Corners &outline : outlines) {
+        for (py::ssize_t i = 0; i < outline.shape(0); ++i) {
+            first = std::min(first, *outline.data(i, axis));
+            last = std::max(last, *outline.data(i, axis));
+        }
+    }
+    return {std::max((first >> kFractionBits) - edge_px, 0),
+            std::min((last >> kFractionBits) + 1 + edge_px, count)};
+}
+
+py::slice slice(int first, int end) {
+    return py::slice(py::int_(first), py::int_(end), py::none());
+}
+
+}  // namespace
+
+Shadow::Shadow(const Doubles &corners, std::vector<int> starts, const Point &sun,
+               const Doubles &intrinsics, const std::array<int, 2> &size, double nearest_m,
+               double farthest_px, int edge_px)
+    : corners_(points_of(corners, starts)),
+      starts_(std::move(starts)),
+      flatten_({{{1.0, 0.0, -sun[0] / sun[2]}, {0.0, 1.0, -sun[1] / sun[2]}, {0.0, 0.0, 0.0}}}),
+      pinhole_(intrinsics, size, nearest_m, farthest_px),
+      size_(size),
+      edge_px_(edge_px) {}
+
+std::optional<Shadow::Seen> Shadow::outlines(const Doubles &body, const Point &place,
+                                             const Doubles &to_optical,
+                                             const Point &camera) const {
+    const Matrix optical = matrix_of(to_optical), turn = product(optical, flatten_);
+    const Point there = product(turn, place), here = product(optical, camera);
+    const Point shift{there[0] - here[0], there[1] - here[1], there[2] - here[2]};
+    std::vector<Point> placed(corners_.size());
+    place_points(product(turn, matrix_of(body)), shift, corners_.data(),
+                 static_cast<int>(corners_.size()), placed.data());
+    const std::vector<Corners> found = pinhole_.outlines(placed, starts_);
+    if (found.empty()) {
+        return std::nullopt;
+    }
+    const auto [left, right] = touched(found, 0, edge_px_, size_[1]);
+    const auto [top, bottom] = touched(found, 1, edge_px_, size_[0]);
+    if (left >= right || top >= bottom) {
+        return std::nullopt;  // they only seemed to be in view
+    }
+    return Seen{slice(top, bottom), slice(left, right), found};
+}
+
+}  // namespace pixels
