@@ -17,6 +17,7 @@ from taxinet_ros.core.motion.controller import check_controller, make_controller
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.perception.weights import SHIPPED
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
 from taxinet_ros.core.world import find_world
@@ -88,11 +89,13 @@ def test_given_a_package_when_its_names_are_used_then_they_are_as_good_as_shippe
     assert registry.names('perceptions')[-1] == 'mine'
     assert parse_spec('calm').name == 'calm'
     assert read_specs(['calm', 'usable']) == (f'calm={parse_spec("calm").text}', 'usable')
-    assert registry.plugins() == 'our-parts 1.2'
+    assert registry.plugins() == provenance()['plugins'] == 'our-parts 1.2'
     assert registry.origins(perceptions='mine', controllers='steering') == {'perceptions': {
         'name': 'mine', 'distribution': 'our-parts', 'version': '1.2',
         'sha256': perception.fingerprint,
     }}
+    sys.path.remove(str(site))
+    assert 'plugins' not in provenance()
 
 
 def test_given_a_changed_package_when_fingerprinted_then_it_is_another_one(site: Path) -> None:

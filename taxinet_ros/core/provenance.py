@@ -53,7 +53,6 @@ _INSTALLED = re.compile(r'(?P<name>.+?)-(?P<version>\d[^-]*)(-py[\d.]+)?\.(dist|
 _GIT_S = 5.0
 
 
-@cache
 def provenance() -> Provenance:
     """Collect processor, instruction sets, libraries, version and commit of this process.
 
@@ -65,6 +64,11 @@ def provenance() -> Provenance:
         ``plugins`` (packages that add extensions, with their versions), ``taxinet_ros`` (version)
         and ``commit``, which ends with ``+changes`` if the checkout's code has uncommitted changes.
     """
+    return _collected(plugins())  # which change with Python's path, and nothing else does
+
+
+@cache
+def _collected(added: str) -> Provenance:
     facts = {
         'processor': processor(),
         'machine': platform.machine(),
@@ -77,7 +81,7 @@ def provenance() -> Provenance:
         'libc': ' '.join(platform.libc_ver()).strip(),
         'python': platform.python_version(),
         **library_versions(),
-        'plugins': plugins(),
+        'plugins': added,
         'taxinet_ros': __version__,
         COMMIT: _commit(Path(__file__).parents[2]),
     }

@@ -16,7 +16,6 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_latency
-from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.rig.catalogue import load_aircraft, load_camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.sensing import Schedule
@@ -344,7 +343,6 @@ def steer(estimate):
 
 
 def test_given_parts_of_a_package_then_every_byte_is_the_same(tmp_path, monkeypatch):
-    provenance.cache_clear()
     with monkeypatch.context() as installed:
         installed.syspath_prepend(str(tmp_path / 'site'))
         lay_down(
@@ -355,7 +353,6 @@ def test_given_parts_of_a_package_then_every_byte_is_the_same(tmp_path, monkeypa
             [request(0, Scenario(cross_track_m=2.0, duration_s=1.0))], tmp_path,
             perception='shaky', controller='bent', world='dim',
         )
-    provenance.cache_clear()
 
 
 def test_given_a_sample_that_cannot_be_judged_then_both_engines_say_so_alike(tmp_path):

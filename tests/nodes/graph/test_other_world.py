@@ -10,20 +10,11 @@ from plugins import lay_down
 
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.verdict.outcome import RunRequest
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture(autouse=True)
-def installed_for_now():
-    """A process asks once what is installed; bags of later tests would tell of these packages."""
-    provenance.cache_clear()
-    yield
-    provenance.cache_clear()
 
 
 CODE = """
