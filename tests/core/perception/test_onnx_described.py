@@ -116,7 +116,8 @@ def test_given_an_input_that_is_no_picture_then_it_is_refused_in_one_line(
     tmp_path: Path, shape: Any, words: str
 ) -> None:
     scenes = draw_scenes('training_original', seed=5, images=2)
-    path = network(tmp_path, np.zeros((2, HEIGHT, WIDTH)) + 0.5, np.zeros((2, 2)), shape)
+    small = np.random.default_rng(0).random((2, HEIGHT, WIDTH))
+    path = network(tmp_path, small, np.zeros((2, 2)), shape)
     with pytest.raises(UsageError) as refused:
         find_ways(path, read_shapes(path), scenes)
     assert words in str(refused.value)
