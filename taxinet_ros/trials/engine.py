@@ -30,7 +30,6 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME
 from taxinet_ros.samplers.sampler import LAG, Exhausted
 from taxinet_ros.scenes.source import Rejected
-from taxinet_ros.trials.cluster.pool import check_cluster
 from taxinet_ros.trials.options import AUDIT, CampaignOptions
 from taxinet_ros.trials.record.book import CampaignBook, finished_row, rejected_row
 from taxinet_ros.trials.record.content import CampaignContent, StoredRows
@@ -347,6 +346,8 @@ def with_workers(
             )
     if again := find_world(campaign.world).again_words:
         raise UsageError(f'cluster: {again}, so workers would not give the same runs')
+    from taxinet_ros.trials.cluster.pool import check_cluster  # which imports asyncio
+
     return dataclasses.replace(campaign, cluster=check_cluster(cluster))
 
 
