@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from taxinet_ros.bag.errors import BagCorrupt
-from taxinet_ros.bag.topics import TopicInfo
+from taxinet_ros.bag.topics import TopicInfo, types_of
 
 BODY = 4
 """Bytes of encapsulation before the first field."""
@@ -258,10 +257,6 @@ def stamp_of_cdr(cdr: bytes) -> int:
     return int(sec) * 1_000_000_000 + int(nanosec)
 
 
-# Parsing takes a third of the time that a graph takes to start in a process that had one before.
-_types_of = lru_cache(maxsize=64)(get_types_from_msg)
-
-
 class Canonical:
     """Canonicalises messages: equal content gives equal bytes."""
 
@@ -270,7 +265,7 @@ class Canonical:
         store = get_typestore(Stores.EMPTY)
         self._walks: dict[str, Walk] = {}
         for topic in topics:
-            types = _types_of(topic.definition, topic.type)
+            types = types_of(topic.definition, topic.type)
             store.register({name: kind for name, kind in types.items() if name not in store.types})
             self._walks[topic.name] = walk_of(store, topic.type)
 

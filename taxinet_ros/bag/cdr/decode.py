@@ -12,11 +12,17 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_typestore
 from rosbags.typesys.store import Typestore
 
 from taxinet_ros.bag.errors import BagCorrupt, BagForeign
-from taxinet_ros.bag.topics import TopicInfo, is_type_name, message_definition, type_hash
+from taxinet_ros.bag.topics import (
+    TopicInfo,
+    is_type_name,
+    message_definition,
+    type_hash,
+    types_of,
+)
 from taxinet_ros.errors import UsageError
 
 MAX_DEFINITION_CHARS = 2**17
@@ -105,7 +111,7 @@ def _typestore(type_name: str, definition: str) -> Typestore:
         raise BagForeign(f'{type_name!r} is not of the form package/msg/Name')
     store = get_typestore(Stores.EMPTY)
     try:
-        types = get_types_from_msg(definition.replace('\r\n', '\n'), type_name)
+        types = types_of(definition.replace('\r\n', '\n'), type_name)
         _check_size(types, type_name)
         # Without constants: they are not needed, and code is generated from registered types.
         store.register({name: ([], fields) for name, (_, fields) in types.items()})

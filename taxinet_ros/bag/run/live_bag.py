@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
-from taxinet_ros.bag.cdr.decode import decoder
+from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.run.message_values import account_of, scenario_of
 from taxinet_ros.bag.run.messages import header_values, message_cdr
 from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, BegunBag, outcome_words
@@ -38,8 +38,8 @@ DDS resends lost messages after 3 s at most.
 """
 
 
-_DECODE = {
-    topic.name: decoder(topic_info(topic))
+_DECODED = {
+    topic.name: topic_info(topic)
     for topic in (topics.NODE_STATUS, topics.TIMING, topics.VERDICT, topics.RUN_STATUS)
 }
 
@@ -127,7 +127,7 @@ class LiveBag(BegunBag):
             return self._take_step(topic, cdr)
         if topic.recorded == topics.PER_SAMPLE:
             return self._take_sample(topic, cdr)
-        message = _DECODE[topic.name](cdr)
+        message = decode(_DECODED[topic.name], cdr)
         if message.run_id != self._run_id:
             return []
         if topic.name == topics.NODE_STATUS.name:
