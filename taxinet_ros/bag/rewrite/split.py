@@ -20,16 +20,13 @@ from taxinet_ros.bag.run.topics import (
     ODOMETRY,
     RUN_STATUS,
     SCENARIO,
-    TF_STATIC,
     VERDICT,
     is_of_frames,
-    is_topic,
 )
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.storage.reader import StoredMessage
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
-from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.errors import UsageError
 
 
@@ -80,33 +77,33 @@ def _write_run(
         'run_id': run.run_id, 'program': str(scenario.program), 'seed': str(scenario.seed),
         'index': str(scenario.index), 'split_from': recording.path.name,
     }
-    frames = [topic for topic in bag_topics() if is_of_frames(topic.name)]
-    ordered_messages = (
+    fixed, moving = (topic for topic in bag_topics() if is_of_frames(topic.name))
+    in_order = (
         stored._replace(cdr=canonical.message(stored.topic.name, stored.cdr))
         for stored in sorted(messages, key=_place)
     )
     with BagWriter(
-        folders[run.name], [*topics, *frames], metadata=words,
+        folders[run.name], [*topics, fixed, moving], metadata=words,
         attachments={'scenario.json': scenario_json(scenario)}, min_free_bytes=0,
     ) as bag:
-        write_steps(bag, _with_frames(ordered_messages, frames, scenario_of(scenario).cameras))
+        write_steps(bag, _with_transforms(
+            in_order, fixed, moving, camera_transform(*scenario_of(scenario).cameras)
+        ))
         for stored in messages:
             if stored.topic.name == f'/{RUN_STATUS}':
                 status = decode(stored.topic, stored.cdr)
                 bag.add_metadata(OUTCOME_METADATA, outcome_words(status, len(run.stamps_ns)))
 
 
-def _with_frames(
-    messages: Iterable[StoredMessage], frames: Iterable[TopicInfo],
-    cameras: tuple[CameraModel, ...],
+def _with_transforms(
+    messages: Iterable[StoredMessage], fixed: TopicInfo, moving: TopicInfo, of_cameras: bytes
 ) -> Iterator[StoredMessage]:
     """The messages of a run with its transforms, where the recorder puts them."""
-    fixed, moving = sorted(frames, key=lambda topic: not is_topic(topic.name, TF_STATIC))
     transform_of, begun = OdometryTransforms(), False
     for stored in messages:
         if not begun and stored.topic.name.removeprefix('/') not in (SCENARIO, NODE_STATUS):
             begun = True
-            yield StoredMessage(fixed, 0, camera_transform(*cameras), 0)
+            yield StoredMessage(fixed, 0, of_cameras, 0)
         yield stored
         if stored.topic.name == f'/{ODOMETRY}':
             yield stored._replace(topic=moving, cdr=transform_of(stored.cdr))

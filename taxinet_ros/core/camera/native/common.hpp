@@ -9,6 +9,7 @@
 
 #include <pybind11/numpy.h>
 
+#include <array>
 #include <bit>
 #include <cstdint>
 #include <stdexcept>
@@ -44,6 +45,9 @@ using Bytes = py::array_t<std::uint8_t, py::array::c_style>;
 using Doubles = py::array_t<double, py::array::c_style>;
 using Floats = py::array_t<float, py::array::c_style>;
 using Whole = py::array_t<std::int32_t, py::array::c_style>;
+
+// Rows of three.
+using Matrix = std::array<std::array<double, 3>, 3>;
 
 constexpr int kChannels = 3;
 
@@ -81,6 +85,17 @@ inline void require(bool holds, const char *what, const char *more = "") {
     if (!holds) {
         throw std::invalid_argument(std::string("pixels: ") + what + more);
     }
+}
+
+inline Matrix matrix_of(const Doubles &numbers, const char *what) {
+    require(numbers.ndim() == 2 && numbers.shape(0) == 3 && numbers.shape(1) == 3, what);
+    Matrix matrix;
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            matrix[i][j] = numbers.at(i, j);
+        }
+    }
+    return matrix;
 }
 
 }  // namespace pixels

@@ -46,12 +46,11 @@ std::vector<Point> points_of(const Doubles &corners, const std::vector<int> &sta
 Pinhole::Pinhole(const Doubles &intrinsics, const std::array<int, 2> &size, double nearest_m,
                  double farthest_px)
     : width_(size[1]), height_(size[0]), nearest_m_(nearest_m), farthest_px_(farthest_px) {
-    require(intrinsics.ndim() == 2 && intrinsics.shape(0) == 3 && intrinsics.shape(1) == 3,
-            "a camera matrix is (3, 3)");
-    focal_u_ = intrinsics.at(0, 0);
-    focal_v_ = intrinsics.at(1, 1);
-    centre_u_ = intrinsics.at(0, 2);
-    centre_v_ = intrinsics.at(1, 2);
+    const Matrix matrix = matrix_of(intrinsics, "a camera matrix is (3, 3)");
+    focal_u_ = matrix[0][0];
+    focal_v_ = matrix[1][1];
+    centre_u_ = matrix[0][2];
+    centre_v_ = matrix[1][2];
 }
 
 // Pixel times depth.

@@ -2,27 +2,17 @@
 
 #pragma once
 
-#include <array>
-
 #include "common.hpp"
 
 namespace pixels {
 
-using Ray = std::array<double, 3>;
+using Ray = Matrix::value_type;
 
 // Maps a homogeneous pixel (u, v, 1) to a direction in `map`.
-using Rays = std::array<Ray, 3>;
+using Rays = Matrix;
 
 inline Rays rays_of(const Doubles &directions) {
-    require(directions.ndim() == 2 && directions.shape(0) == 3 && directions.shape(1) == 3,
-            "rays are (3, 3)");
-    Rays rays;
-    for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) {
-            rays[i][j] = directions.at(i, j);
-        }
-    }
-    return rays;
+    return matrix_of(directions, "rays are (3, 3)");
 }
 
 INLINE Ray ray_of(const Rays &rays, double u, double v) {

@@ -7,19 +7,7 @@
 namespace pixels {
 namespace {
 
-using Matrix = std::array<Point, 3>;
-
-Matrix matrix_of(const Doubles &numbers) {
-    require(numbers.ndim() == 2 && numbers.shape(0) == 3 && numbers.shape(1) == 3,
-            "a rotation is (3, 3)");
-    Matrix matrix;
-    for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) {
-            matrix[i][j] = numbers.at(i, j);
-        }
-    }
-    return matrix;
-}
+constexpr const char *kRotation = "a rotation is (3, 3)";
 
 // Products with the roundings of OpenBLAS for processors that fuse, so that pictures of versions
 // that used NumPy here keep their bytes.
@@ -86,11 +74,11 @@ Shadow::Shadow(const Doubles &corners, std::vector<int> starts, const Point &sun
 std::optional<Shadow::Seen> Shadow::outlines(const Doubles &body, const Point &place,
                                              const Doubles &to_optical,
                                              const Point &camera) const {
-    const Matrix optical = matrix_of(to_optical), turn = product(optical, flatten_);
+    const Matrix optical = matrix_of(to_optical, kRotation), turn = product(optical, flatten_);
     const Point there = product(turn, place), here = product(optical, camera);
     const Point shift{there[0] - here[0], there[1] - here[1], there[2] - here[2]};
     std::vector<Point> placed(corners_.size());
-    place_points(product(turn, matrix_of(body)), shift, corners_.data(),
+    place_points(product(turn, matrix_of(body, kRotation)), shift, corners_.data(),
                  static_cast<int>(corners_.size()), placed.data());
     const std::vector<Corners> found = pinhole_.outlines(placed, starts_);
     if (found.empty()) {

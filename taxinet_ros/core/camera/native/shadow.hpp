@@ -29,7 +29,7 @@ class Shadow {
   private:
     std::vector<Point> corners_;
     std::vector<int> starts_;
-    std::array<Point, 3> flatten_;
+    Matrix flatten_;
     Pinhole pinhole_;
     std::array<int, 2> size_;
     int edge_px_;
