@@ -361,7 +361,7 @@ def judge(
 
 
 def caught_again(fault: Fault, suite: str) -> dict[str, Any]:
-    """Plant a fault and run the test that caught it before, wherever that test is now."""
+    """Plant a fault and run the suite's test that caught it before, wherever that is now."""
     begun = time.monotonic()
     file, _, name = fault.caught[suite].partition('[')[0].partition('::')
     tests = [f'{place}::{name}' for place in sorted(Path('tests').rglob('test_*.py'))
@@ -369,7 +369,8 @@ def caught_again(fault: Fault, suite: str) -> dict[str, Any]:
     if not tests:
         return {'caught': '', 'tests': 0, 'wall_s': 0.0}
     with changed(planted(fault, places([fault])[fault.name])):
-        ended = run_tests((), tests, ['-x'], 600)
+        marks = ['-m', SUITES[suite]] if SUITES[suite] else []
+        ended = run_tests((), tests, ['-x', *marks], 600)
     failed = [one for one in ended if one['outcome'] == 'failed']
     first = failed[0] if failed else {'test': '', 'why': ''}
     return {'caught': first['test'], 'why': first['why'],
