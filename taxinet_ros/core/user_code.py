@@ -342,8 +342,8 @@ def given_sensors(measured: Measured | None, who: str) -> Measured:
     """
     if measured is None:
         raise UsageError(
-            f'{who} has a parameter sensors, which are there only in runs whose scenario has some, '
-            'as with sensors=standard, or a hold_line'
+            f'{who} has a parameter sensors, which it gets only in a run or replay of a scene with '
+            'some, as with sensors=standard, or a hold_line'
         )
     return measured
 

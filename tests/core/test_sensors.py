@@ -380,10 +380,10 @@ def test_given_a_function_that_asks_for_sensors_in_a_run_without_then_it_is_refu
 ):
     text = 'def mine(seen, sensors):\n    return 0.0, 5.0\n'
     (tmp_path / 'mine.py').write_text(text)
-    with pytest.raises(UsageError, match='mine has a parameter sensors, which are there only in'):
+    with pytest.raises(UsageError, match='mine has a parameter sensors, which it gets only in'):
         tx.run(scene(), **{part: f'{tmp_path}/mine.py:mine'}, specs='phi_always')
     perception = tx.load_perception(f'{tmp_path}/mine.py:mine')
-    with pytest.raises(UsageError, match='mine has a parameter sensors, which are there only in'):
+    with pytest.raises(UsageError, match='mine has a parameter sensors, which it gets only in'):
         perception.estimate(np.zeros((200, 360, 3), np.uint8), None)
 
 

@@ -8,7 +8,7 @@ frames.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from taxinet_ros.bag.cdr.decode import decode
@@ -41,15 +41,23 @@ def missing_frames(info: BagInfo) -> int:
     return info.counts[CAMERA_INFO] - info.counts.get(IMAGE, 0)
 
 
-def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
-    """Yield control step and serialised frame: recorded or, if missing, rendered."""
+def frame_messages(
+    recording: Recording, wanted: Collection[str] = (IMAGE,)
+) -> Iterator[tuple[int, str, bytes]]:
+    """Yield control step, topic and serialised message of each frame and of others.
+
+    Args:
+        recording: a run.
+        wanted: topics in the bag; frames are recorded or, if missing, rendered.
+    """
     frames = _Frames(recording)
-    for message in recording.whole_messages((IMAGE, CAMERA_INFO).__contains__):
-        seq = message.stamp_ns // recording.period_ns
-        if message.topic.name == IMAGE:
-            yield seq, message.cdr
-        else:
-            yield from ((seq, cdr) for name, cdr in frames.missing(message) if name == IMAGE)
+    for message in recording.whole_messages({CAMERA_INFO, *wanted}.__contains__):
+        seq, topic = message.stamp_ns // recording.period_ns, message.topic.name
+        if topic == CAMERA_INFO:
+            yield from ((seq, name, cdr) for name, cdr in frames.missing(message)
+                        if name in wanted)
+        if topic in wanted:
+            yield seq, topic, message.cdr
 
 
 def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) -> Iterator[int]:

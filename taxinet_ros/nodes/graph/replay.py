@@ -32,13 +32,19 @@ from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.run.topics import CAMERA_FRAME
 from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.assurance.switch import make_controller
-from taxinet_ros.core.motion.controller import STEERING, SteeringGains, gains_text
+from taxinet_ros.core.motion.controller import (
+    STEERING,
+    Controller,
+    SteeringGains,
+    UserController,
+    gains_text,
+)
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.pacing.step_collector import StepCollector
-from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.perception.perception import Perception, UserPerception, make_perception
 from taxinet_ros.core.scenario import Scenario as Scene
 from taxinet_ros.core.types import TrackingError, step_stamp_ns
-from taxinet_ros.core.user_code import node_command
+from taxinet_ros.core.user_code import given_sensors, node_command
 from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
@@ -125,9 +131,10 @@ class Player(Node):
             self._fail(kind, f'silent for {ANSWER_TIMEOUT_S:g} s')
 
     def _found(self) -> bool:
-        """Whether the node under test is matched on every topic."""
+        """Whether the node under test is matched on every topic that it hears in each run."""
         return all(
-            publisher.get_subscription_count() for publisher in self._speakers.values()
+            publisher.get_subscription_count() for name, publisher in self._speakers.items()
+            if name != interface.CAMERA2.name
         ) and all(heard.get_publisher_count() for heard in self._listeners)
 
     def _on_status(self, status: NodeStatus) -> None:
@@ -201,10 +208,12 @@ def replay(
     """
     if target not in _ANSWERS:
         raise UsageError(f'into {target}: not a replay target; known: {", ".join(TARGETS)}')
-    _refuse_sensing(target, perception, controller)
-    inputs = _inputs(target, perception)
+    scene = run.request.scenario
+    inputs, sensors = _inputs(target, perception), _sensors(scene, target, perception, controller)
+    present = {interface.SENSORS[name] for name in scene.sensor_set.names}
+    played = (*inputs, *(topic for topic in sensors if topic in present))
     answer = _ANSWERS[target]
-    _check_types(recording, inputs)
+    _check_types(recording, played)
     request = dataclasses.replace(run.request, participants=(target,))
     options = GraphOptions(
         perception=perception, out=Path(), controller=controller,
@@ -216,8 +225,9 @@ def replay(
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         spinning.add(kind(context=spinning.context, parameter_overrides=overrides))
         player = Player(
-            scenario_message(request), _steps(recording, inputs), target=target, speaks=inputs,
-            answer=answer, per_step=per_step, executor=spinning.executor, context=spinning.context,
+            scenario_message(request), _steps(recording, inputs, played), target=target,
+            speaks=(*inputs, *sensors), answer=answer, per_step=per_step,
+            executor=spinning.executor, context=spinning.context,
         )
         spinning.add(player)
         spin_until(spinning.executor, player.finished)
@@ -271,19 +281,28 @@ def play_pictures(
             for seq in sorted(player.answers)]
 
 
-def _refuse_sensing(target: str, perception: str, controller: str) -> None:
-    """Refuse functions that would wait for sensors, which are not replayed."""
-    asking = (
-        target == interface.PERCEPTION and make_perception(perception).needs_sensors
-    ) or (
-        target == interface.STEERING_CONTROLLER
-        and make_controller(controller, SteeringGains()).needs_sensors
+def _sensors(scene: Scene, target: str, perception: str, controller: str) -> tuple[Topic, ...]:
+    """Topics of the sensors that the node listens to.
+
+    Raises:
+        UsageError: it is a function that asks for some, and the run has none.
+    """
+    part: Perception | Controller
+    if target == interface.PERCEPTION:
+        word, part = perception, make_perception(perception)
+    elif target == interface.STEERING_CONTROLLER:
+        word, part = controller, make_controller(controller, SteeringGains())
+    else:
+        return ()
+    if not part.needs_sensors:
+        return ()
+    there = scene.sensor_set.present or scene.hold_lines
+    if not there and isinstance(part, UserPerception | UserController):
+        given_sensors(None, f'into {target}: {word}')
+    return tuple(
+        topic for name, topic in interface.SENSORS.items()
+        if topic is not interface.CAMERA2 or name in scene.sensor_set.names
     )
-    if asking:
-        raise UsageError(
-            f'into {target}: its function has a parameter sensors, which are not replayed; run '
-            'the scene again: taxinet run --from BAG'
-        )
 
 
 def _inputs(target: str, perception: str) -> tuple[Topic, ...]:
@@ -301,7 +320,7 @@ def _check_types(recording: Recording, inputs: tuple[Topic, ...]) -> None:
     bag, recorded = recording.path, {topic.name: topic for topic in recording.topics}
     for topic in inputs:
         found = recorded.get(bag_name(topic))
-        if found is None and topic is not interface.IMAGE:
+        if found is None and topic not in (interface.IMAGE, interface.CAMERA2):
             raise UsageError(f'{bag}: no topic {bag_name(topic)}, so there is nothing to replay')
         if found is not None and found.type_hash != type_hash(topic.type_name):
             raise UsageError(
@@ -310,19 +329,23 @@ def _check_types(recording: Recording, inputs: tuple[Topic, ...]) -> None:
             )
 
 
-def _steps(recording: Recording, inputs: tuple[Topic, ...]) -> Iterator[Step]:
-    """Yield the inputs of every control step; missing frames are rendered."""
-    if inputs == (interface.IMAGE,):
-        for seq, cdr in frame_messages(recording):
-            yield seq, {interface.IMAGE.name: [cdr]}
-        return
-    names = {bag_name(topic): topic.name for topic in inputs}
-    messages = recording.whole_messages(names.__contains__)
-    for seq, group in groupby(messages, lambda message: message.stamp_ns // recording.period_ns):
+def _steps(
+    recording: Recording, inputs: tuple[Topic, ...], played: tuple[Topic, ...]
+) -> Iterator[Step]:
+    """Yield what is played in every step that has all inputs; missing frames are rendered."""
+    names = {bag_name(topic): topic.name for topic in played}
+    if not {interface.IMAGE, interface.CAMERA2}.isdisjoint(played):
+        messages = frame_messages(recording, names)
+    else:
+        messages = (
+            (message.stamp_ns // recording.period_ns, message.topic.name, message.cdr)
+            for message in recording.whole_messages(names.__contains__)
+        )
+    for seq, group in groupby(messages, lambda message: message[0]):
         step: dict[str, list[bytes]] = {}
-        for message in group:
-            step.setdefault(names[message.topic.name], []).append(message.cdr)
-        if len(step) == len(inputs):  # A failed run may end with an incomplete step.
+        for _, name, cdr in group:
+            step.setdefault(names[name], []).append(cdr)
+        if all(topic.name in step for topic in inputs):  # a failed run may end with part of a step
             yield seq, step
 
 
