@@ -17,7 +17,13 @@ from taxinet_ros.core.place.track import OnTrack, Track
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.sensors import Measured
 from taxinet_ros.core.traffic.traffic import Holds
-from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, step_stamp_ns
+from taxinet_ros.core.types import (
+    AircraftState,
+    TaxiCommand,
+    TrackingError,
+    run_length_ns,
+    step_stamp_ns,
+)
 from taxinet_ros.errors import UsageError
 
 CONTROL_PERIOD_NS = 100_000_000
@@ -81,13 +87,18 @@ def last_step(scenario: Scenario) -> int:
     Raises:
         UsageError: the duration is not a multiple of the control period.
     """
-    steps = scenario.duration_ns // scenario.period_ns
-    if step_stamp_ns(steps, scenario.period_ns) != scenario.duration_ns:
+    if not is_whole(scenario.duration_s, scenario.period_ns):
         raise UsageError(
             f'scenario: duration {scenario.duration_s:g} s is not a multiple of the '
             f'control period {scenario.period_ns / 1e9:g} s'
         )
-    return steps
+    return scenario.duration_ns // scenario.period_ns
+
+
+def is_whole(duration_s: float, period_ns: int) -> bool:
+    """Whether a length of time [s] is a number of control periods."""
+    length_ns = run_length_ns(duration_s, period_ns)
+    return step_stamp_ns(length_ns // period_ns, period_ns) == length_ns
 
 
 def rolling_on(speed_mps: float) -> TaxiCommand:

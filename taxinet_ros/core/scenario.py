@@ -80,7 +80,7 @@ from taxinet_ros.core.signals import (
 )
 from taxinet_ros.core.traffic.traffic import HOLD_LINE, NOBODY, Traffic
 from taxinet_ros.core.traffic.traffic_file import find_traffic
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, run_length_ns
 from taxinet_ros.errors import UsageError, near_miss
 from taxinet_ros.files.pages import html_table
 from taxinet_ros.files.plain_values import load_json
@@ -466,7 +466,7 @@ class Scenario:
     @property
     def duration_ns(self) -> int:
         """Length of the run in integer nanoseconds."""
-        return round(self.duration_s * NS_PER_S)
+        return run_length_ns(self.duration_s, self.period_ns)
 
     @property
     def period_ns(self) -> int:

@@ -74,6 +74,18 @@ def reached_ns(time_s: float) -> int:
     return max(round(time_s * NS_PER_S) - 1, 0)
 
 
+def run_length_ns(duration_s: float, period_ns: int) -> int:
+    """Length of a run [ns]: the stamp of its last step where that was rounded down, as of 2/3 s.
+
+    Args:
+        duration_s: length of the run [s].
+        period_ns: control period [ns].
+    """
+    length_ns = round(duration_s * NS_PER_S)
+    last_ns = step_stamp_ns(steps_in(length_ns - 1, period_ns), period_ns)
+    return last_ns if last_ns == length_ns - 1 else length_ns
+
+
 def time_words(time_s: float, width: int = 0) -> str:
     """A simulated time [s] in tenths, or with the decimals that it takes: ``3.0 s``, ``0.125 s``.
 

@@ -470,16 +470,27 @@ def _text(value: object, how: Callable[[object], str]) -> str:
         return f'<{type(value).__name__} whose {how.__name__}() fails: {type(error).__name__}>'
 
 
+_SCOPES = ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp, ast.Lambda
+
+
 def _names(tree: ast.Module) -> set[str]:
     """Names bound at the top level of a module."""
     found: set[str] = set()
-    for node in ast.walk(tree):
+    nodes: list[ast.AST] = [*tree.body]
+    while nodes:
+        node = nodes.pop()
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             found.add(node.name)
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.update(name for one in ast.walk(node) if isinstance(one, ast.Global)
+                         for name in one.names)
+            continue
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             found.add(node.id)
         elif isinstance(node, ast.ImportFrom | ast.Import):
             found |= {(one.asname or one.name).split('.')[0] for one in node.names}
+        elif isinstance(node, _SCOPES):
+            continue
+        nodes += ast.iter_child_nodes(node)
     return found
 
 

@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.core.control_step import last_step
+from taxinet_ros.core.control_step import is_whole, last_step
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     AIRCRAFT_MODEL,
@@ -282,8 +282,9 @@ def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) ->
     # Check each with values that allow it: rain with a rainy sky, crossing keys with a crossing.
     allowing = {**_ALLOWING, **(_allowing_camera(value) if key == SENSORS.key else _ALLOWING_GNSS)}
     scenario = scenario_from_human({**(place or {}), **allowing, key: value})
-    # A period into which all others divide.
-    if scenario.duration_ns * math.lcm(*CONTROL_RATES_HZ) % NS_PER_S:
+    if not any(
+        is_whole(scenario.duration_s, NS_PER_S // rate_hz) for rate_hz in CONTROL_RATES_HZ
+    ):
         last_step(scenario)
 
 

@@ -290,7 +290,7 @@ def _check_runs(folder: Path, content: CampaignContent, found: Examination) -> N
         if content.finished:
             found.report(folder / RECORD_NAME, said, _RESUME)
         else:
-            found.notes.append(f'{folder / RECORD_NAME}: {said}; resuming runs it again')
+            found.notes.append(f'{folder / RECORD_NAME}: {said}; {_RESUME}, runs it again')
     known = {row.bag for row in content.rows}
     for bag in sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')}):
         if bag.name in known or '.broken-' in bag.name:

@@ -8,6 +8,8 @@ import math
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 import taxinet_ros as tx
@@ -325,6 +327,23 @@ def test_given_a_duration_that_only_another_rate_divides_then_it_is_allowed_with
     assert last_step(apply_overrides({}, {'duration_s': '1.25', 'control_rate_hz': '8'}, '')) == 10
     with pytest.raises(UsageError, match=r'1\.25 s is not a multiple of the control period 0\.1 s'):
         apply_overrides({}, {'duration_s': '1.25'}, 'program')
+
+
+@given(st.sampled_from(CONTROL_RATES_HZ), st.integers(6, 3000))
+def test_given_any_number_of_steps_then_their_time_in_seconds_is_a_duration(rate_hz, steps):
+    asked = Scenario(control_rate_hz=rate_hz, duration_s=steps / rate_hz)
+    assert last_step(asked) == steps
+    assert asked.duration_ns == step_stamp_ns(steps, asked.period_ns)
+
+
+def test_given_a_duration_of_thirds_of_a_second_then_run_and_bag_are_judged_to_its_end(tmp_path):
+    values = {'duration_s': str(2 / 3), 'control_rate_hz': '30'}
+    check_overrides(values)
+    run = tx.run(apply_overrides({}, values, ''), specs='phi_always')
+    assert len(run.steps) == 21
+    verdict = tx.open_recording(run.save_bag(tmp_path / 'run', images=False)).judge('phi_always')
+    assert verdict.interval == run.rho['phi_always']
+    assert verdict.verdict == 'SATISFIED'
 
 
 def test_given_a_program_with_a_rate_then_overrides_are_checked_against_it(tmp_path):

@@ -217,10 +217,19 @@ def test_given_a_file_that_goes_elsewhere_when_loaded_then_we_stay_where_we_are(
 
 
 def test_given_a_file_without_a_name_then_its_functions_are_listed(file):
-    word = file('def look(x): pass\ndef _own(x): pass').removesuffix(':make')
+    text = 'def look(x):\n    def within(z): pass\n_all = [y for y in ()]\ndef _own(x): pass'
+    word = file(text).removesuffix(':make')
     for text in (word, f'{word}:'):
         with pytest.raises(UsageError, match=r'name a function, as in .*:NAME; it has: look$'):
             check_perception(text)
+
+
+@pytest.mark.parametrize('text', [
+    'if True:\n    def make(x): pass', 'try:\n    import make\nexcept ImportError:\n    make = len',
+    'def first():\n    global make\n    make = len\nfirst()', 'make, other = len, 1',
+])
+def test_given_a_name_that_is_bound_in_another_way_then_it_is_there(file, text):
+    check_perception(file(text, 'make'))
 
 
 @pytest.mark.parametrize(('text', 'complaint'), [

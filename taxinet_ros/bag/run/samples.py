@@ -39,7 +39,7 @@ from taxinet_ros.core.mtl import (
 )
 from taxinet_ros.core.mtl.specs import OF_OTHERS
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, run_length_ns
 from taxinet_ros.core.verdict.run_statistics import EstimateWatch
 from taxinet_ros.errors import UsageError
 
@@ -198,10 +198,10 @@ def _of_run(
         frozenset(topic for topic in topics if stamp in steps[topic]) | answers
         for stamp in stamps
     )
-    duration_ns = round(float(scenario.duration_s) * NS_PER_S)
     clearance = clearance_in(scenario) if not OF_OTHERS.isdisjoint(names) else None
     commands, track = HeldCommand(scenario, free=is_free(timing)), track_of(scenario)
     period_ns = recording.period_ns
+    duration_ns = run_length_ns(float(scenario.duration_s), period_ns)
     watch = EstimateWatch(duration_ns, period_ns)
     samples = []
     for stamp, present in zip(stamps, there, strict=True):

@@ -24,7 +24,7 @@ from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.rig.aircraft_model import USUAL_SPEED_MPS
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic import HOLD_LINE
-from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.types import NS_PER_S, run_length_ns
 from taxinet_ros.core.verdict.judging import StopOn, stops
 from taxinet_ros.core.verdict.run_statistics import (
     EstimateWatch,
@@ -131,9 +131,10 @@ def describe_specs(
     scenario: Scenario | None = None,
 ) -> SpecCheck:
     """Like :func:`check_specs`, for finished runs: windows are not checked."""
+    period_ns = _period_ns(scenario)
     setting = Setting(
         units=SIGNALS, ranges=signal_ranges(duration_s, gains, scenario),
-        horizon_ns=round(duration_s * NS_PER_S), period_ns=_period_ns(scenario),
+        horizon_ns=run_length_ns(duration_s, period_ns), period_ns=period_ns,
     )
     return SpecCheck(
         lines=tuple(spec_line(spec, setting) for spec in specs),

@@ -385,6 +385,7 @@ def rerun(
         Results by name of the run.
     """
     results: dict[str, RunResult] = {}
+    out.mkdir(parents=True, exist_ok=True)  # programs of the user log into it
 
     def keep(request: RunRequest, result: RunResult) -> bool:
         results[request.run_id] = result

@@ -39,10 +39,15 @@ def bags_at(place: Path) -> list[Path]:
     # Compressed bags and other storage formats are refused by name.
     if any(path for kind in (f'*.{STORAGE_ID}*', '*.db3') for path in place.glob(kind)):
         return [place]
+    bags = sorted({file.parent for file in place.glob(f'*/*.{STORAGE_ID}')})
     if is_campaign(place):
-        bags = [place / row.bag for row in read_campaign(place).rows if row.bag]
-    else:
-        bags = sorted({file.parent for file in place.glob(f'*/*.{STORAGE_ID}')})
+        finished = [place / row.bag for row in read_campaign(place).rows if row.bag]
+        if bags and not finished:
+            raise UsageError(
+                f'{place}: no finished run left a bag; for that of one that did not end, name '
+                f'{bags[0]}'
+            )
+        bags = finished
     if not bags:
         what = 'none of its runs left a bag' if is_campaign(place) else 'holds no bag'
         raise UsageError(f'{place}: {what}')

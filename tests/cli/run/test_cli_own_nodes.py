@@ -153,10 +153,11 @@ def test_given_nodes_then_they_are_named_as_they_name_themselves(folder):
 @pytest.mark.parametrize(('campaign', 'words'), [
     ('p', ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer')),
     ('n', (*NODES, '--processes')),
+    ('n', NODES),
 ])
 def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, campaign, words):
     bag = f'{campaign}/nominal-s0-00000'
-    done = taxinet('run', '--from', bag, *words, '--out', f'again-{campaign}', cwd=folder)
+    done = taxinet('run', '--from', bag, *words, '--out', f'again-{campaign}{len(words)}', cwd=folder)
     assert (done.returncode, done.stdout.splitlines()[-1][:9]) == (0, 'the same:'), done.stderr
 
 

@@ -193,7 +193,11 @@ def test_given_a_start_without_result_then_doctor_and_gate_name_the_run(campaign
     assert f'{lost.outcome}, tight {lost.rho["tight"]:+.3f})' in out
     write_campaign(campaign, rows, content.facts, begun=[lost.index], ended=False)
     code, out, _ = taxinet('doctor', campaign)
-    assert (code, f'{said}; resuming runs it again' in out) == (0, True)
+    again = 'the command that made it, resumed if it can be, runs it again'
+    assert (code, f'{said}; {again}' in out) == (0, True)
+    write_campaign(campaign, (), content.facts, begun=[lost.index], ended=False)
+    code, _, error = taxinet('monitor', campaign)
+    assert (code, 'no finished run left a bag; for that of one that did not' in error) == (2, True)
 
 
 # Tables and other files ------------------------------------------------------------------------
