@@ -20,6 +20,7 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
+import threading
 from collections.abc import Callable
 from functools import cached_property
 
@@ -125,9 +126,12 @@ def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[n
 
 
 def prepare() -> None:
-    """Build the data shared by all cameras of a process ahead of the first camera."""
-    ground_atlas(default_runway())
-    grain_atlas()
+    """Build what all cameras of a process share ahead of the first one, in a thread."""
+    def share() -> None:
+        grain_atlas()
+        ground_atlas(default_runway())
+
+    threading.Thread(target=share, daemon=True).start()
 
 
 class Camera:
