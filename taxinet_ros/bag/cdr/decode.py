@@ -12,7 +12,11 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.serde.cdr import generate_deserialize_cdr
+from rosbags.serde.cdr import (
+    generate_deserialize_cdr,
+    generate_getsize_cdr,
+    generate_serialize_cdr,
+)
 from rosbags.typesys import TypesysError
 from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
@@ -135,12 +139,10 @@ class _Store(Typestore):
         """The code of a type; what writes it or reads other formats is generated when used."""
         found = self._made.get(typename)
         if found is None:
-            fields: Any = [(normalize_fieldname(name), kind)
-                           for name, kind in self.fielddefs[typename][1]]
             found = self._made[typename] = _Type(
-                fields, self.types[typename], partial(super().get_msgdef, typename))
-            found.deserialize_cdr_le = generate_deserialize_cdr(fields, self, 'le')
-            for _, kind in fields:
+                self, typename, partial(super().get_msgdef, typename))
+            found.deserialize_cdr_le = generate_deserialize_cdr(found.fields, self, 'le')
+            for _, kind in found.fields:
                 node, inner = kind if kind[0] in (Nodetype.BASE, Nodetype.NAME) else kind[1][0]
                 if node == Nodetype.NAME:
                     self.get_msgdef(inner)
@@ -148,15 +150,26 @@ class _Store(Typestore):
 
 
 class _Type:
-    """As :class:`rosbags.interfaces.Msgdef`, whose rest is generated when asked for."""
+    """As :class:`rosbags.interfaces.Msgdef`."""
 
     deserialize_cdr_le: Any
 
-    def __init__(self, fields: Any, kind: type, whole: Callable[[], Any]) -> None:
-        self.fields, self.cls, self._whole = fields, kind, whole
+    def __init__(self, store: Typestore, name: str, whole: Callable[[], Any]) -> None:
+        self.fields: Any = [
+            (normalize_fieldname(field), kind) for field, kind in store.fielddefs[name][1]
+        ]
+        self.cls = store.types[name]
+        self._store, self._whole = store, whole
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._whole(), name)
+        made = vars(self)
+        if name in ('getsize_cdr', 'size_cdr'):
+            made['getsize_cdr'], made['size_cdr'] = generate_getsize_cdr(self.fields, self._store)
+        elif name == 'serialize_cdr_le':
+            made[name] = generate_serialize_cdr(self.fields, self._store, 'le')
+        else:
+            made[name] = getattr(self._whole(), name)
+        return made[name]
 
 
 def _check_size(types: Mapping[str, Any], type_name: str) -> None:

@@ -34,6 +34,7 @@ from taxinet_ros.core.camera.airframe import (
     AirframeView,
     Mask,
     OwnShadow,
+    covering_doubts,
     drawing,
 )
 from taxinet_ros.core.camera.atmosphere import SPARSE_PX, Atmosphere, RainSheet, scramble
@@ -128,6 +129,8 @@ def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[n
 def prepare() -> None:
     """Build what all cameras of a process share ahead of the first one, in a thread."""
     def share() -> None:
+        scenario = Scenario()
+        covering_doubts(scenario.aircraft_model, scenario.camera_model)  # which draws the aircraft
         grain_atlas()
         ground_atlas(default_runway())
 
