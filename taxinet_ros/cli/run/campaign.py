@@ -48,6 +48,8 @@ from taxinet_ros.trials.worker_pool import WorkerPool
 _REFRESH_PER_S = 2.0
 
 if TYPE_CHECKING:
+    from threading import Thread
+
     from taxinet_ros.nodes.graph.runner import Graph
     from taxinet_ros.trials.audit import Auditor
     from taxinet_ros.trials.cluster.pool import ClusterPool
@@ -276,6 +278,7 @@ class _Graphs:
         self._options = options
         self._ahead = contextlib.ExitStack()
         self._made: Graph | None = None
+        self._shared: Thread | None = None
         self._system = options.alone(
             controller_sha256=check_controller(options.controller, options.gains, graph=True),
             world_sha256=find_world(options.world).fingerprint,
@@ -304,7 +307,7 @@ class _Graphs:
         if options.processes or any(map(command_of, commands)):
             return  # It would write its logs to a folder that does not exist yet.
         if options.perception != GroundTruth.word or options.images == 'all':
-            camera.prepare()
+            self._shared = camera.prepare()
         self._made = self._ahead.enter_context(self._new())
 
     def check(self, facts: Mapping[str, Any]) -> None:
@@ -327,6 +330,8 @@ class _Graphs:
                 yield graph
         else:
             graph, self._made = self._made, None
+            if self._shared is not None:  # so that no run's speed is that of this
+                self._shared.join()
             with self._ahead.pop_all():
                 yield graph
 

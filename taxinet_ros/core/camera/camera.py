@@ -126,15 +126,21 @@ def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[n
     return table[0, :, brightest].copy(), np.minimum(gain, 1.0)
 
 
-def prepare() -> None:
-    """Build what all cameras of a process share ahead of the first one, in a thread."""
+def prepare() -> threading.Thread:
+    """Build what all cameras of a process share ahead of the first one, in a thread.
+
+    Returns:
+        The thread; a camera that is made before its end waits for it.
+    """
     def share() -> None:
         scenario = Scenario()
         covering_doubts(scenario.aircraft_model, scenario.camera_model)  # which draws the aircraft
         grain_atlas()
         ground_atlas(default_runway())
 
-    threading.Thread(target=share, daemon=True).start()
+    thread = threading.Thread(target=share, daemon=True)
+    thread.start()
+    return thread
 
 
 class Camera:
