@@ -167,6 +167,13 @@ def type_hash(type_name: str, prefixes: Sequence[Path] | None = None) -> str:
 @lru_cache(maxsize=64)
 def types_of(definition: str, type_name: str) -> Mapping[str, Any]:
     """Constants and fields of a type and those nested in it, by name, as rosbags has them."""
+    own, *nested = definition.split(_SEPARATOR)
+    parts = [(type_name, own), *(part.split('\n', 1) for part in nested)]
+    return {name: kind for each in parts for name, kind in _types_in(*each).items()}
+
+
+@lru_cache(maxsize=256)  # a stamp is nested in nearly all
+def _types_in(type_name: str, definition: str = '') -> Mapping[str, Any]:
     from rosbags.typesys import get_types_from_msg
 
     return get_types_from_msg(definition, type_name)

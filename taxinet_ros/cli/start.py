@@ -25,10 +25,18 @@ from taxinet_ros.processes.interrupts import (
     say_interrupted,
 )
 
+_OF_SCENES = {'run', 'falsify', 'estimate'}
+_WITHOUT_SCENES = {'-h', '--help', '--help-all', '--from'}
+
 
 def main() -> NoReturn:
     """Entry point of the executable ``taxinet``."""
     def command() -> None:
+        if {*sys.argv[1:2]} & _OF_SCENES and not {*sys.argv} & _WITHOUT_SCENES:
+            from taxinet_ros.scenes.scenic_server import start_early
+
+            with contextlib.suppress(OSError):  # said where a program is compiled
+                start_early()  # Scenic is imported in its own process while this one goes on
         from taxinet_ros.cli.main import main
 
         if lacking():

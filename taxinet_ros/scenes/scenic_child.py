@@ -70,24 +70,33 @@ _HINTS = {
 
 
 class _WhenUsed(ModuleType):
-    """A module that is imported when something of it is asked for."""
+    """A module that is imported when something of it is used, and not when that is imported."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith('__'):  # of the import system, which asks whether it is a package
             raise AttributeError(name)
-        if sys.modules[self.__name__] is self:
+        if sys.modules.get(self.__name__) is self:
+            return lambda *words, **named: self._found(name)(*words, **named)
+        return self._found(name)
+
+    def _found(self, name: str) -> Any:
+        if sys.modules.get(self.__name__) is self:
             del sys.modules[self.__name__]
         return getattr(importlib.import_module(self.__name__), name)
 
 
 @contextlib.contextmanager
-def _networkx_when_used() -> Iterator[None]:
-    """Import networkx later: it takes a fifth of Scenic's time, for one annotation in trimesh."""
-    stand_in = _WhenUsed('networkx')
-    vars(stand_in)['Graph'] = object
-    sys.modules.setdefault(stand_in.__name__, stand_in)
+def _some_when_used() -> Iterator[None]:
+    """Import later what takes a third of Scenic's time, and few programs use by way of trimesh."""
+    names = 'networkx', 'scipy.optimize', 'scipy.ndimage', 'numpy.f2py'
+    stand_ins = {name: _WhenUsed(name) for name in names if name not in sys.modules}
+    sys.modules.update(stand_ins)
+    if 'numpy.f2py' in stand_ins:  # scipy takes all there is of numpy
+        vars(np)['f2py'] = stand_ins['numpy.f2py']
     yield
-    del vars(stand_in)['Graph']
+    for name, stand_in in stand_ins.items():
+        if sys.modules.get(name) is stand_in:
+            del sys.modules[name]
 
 
 class OutOfTime(BaseException):
@@ -104,7 +113,7 @@ class Programs:
     def __init__(self, seed: int, shipped: str) -> None:
         """``shipped``: folder in which programs from elsewhere find the world model."""
         gc.disable()  # What is imported stays; to look for garbage in it takes a tenth of the time.
-        with _networkx_when_used():
+        with _some_when_used():
             import scenic
 
         from taxinet_ros.scenes import chance, choices, constructs, verifai_choices

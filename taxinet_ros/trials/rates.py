@@ -64,8 +64,10 @@ def share_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]
         misses: number of misses.
         tail: tail probability at each end, 0.025 for a 95 % interval.
     """
-    # Imported here because it takes 0.3 s, which would delay a run's first step. It is
-    # bit-identical to the quantile of scipy.stats.beta, whose import takes ten times as long.
+    if {hits, misses} == {0, 1}:  # a single run, whose quantiles are the probabilities themselves
+        return (tail, 1.0) if hits else (0.0, 1 - tail)
+    # Imported here because it takes 0.3 s, as long as a short run. It is bit-identical to the
+    # quantile of scipy.stats.beta, whose import takes ten times as long.
     from scipy.special import betaincinv
 
     low = float(betaincinv(hits, misses + 1, tail)) if hits > 0 else 0.0

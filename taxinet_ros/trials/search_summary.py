@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import datetime
-import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.samplers.registry import check_sampler
 from taxinet_ros.samplers.space import Branch
@@ -42,34 +38,6 @@ def _heading(search: Search) -> str:
 def heading_lines(search: Search) -> list[str]:
     """What is printed before the first run of an open search."""
     return [_heading(search), *space_lines(search.space), *search.notes]
-
-
-def live_words(search: Engine[Any], minutes: float, before: int) -> list[str]:
-    """Figures beside the bar: failures, pace, time left, lowest robustness, failure rate.
-
-    Args:
-        search: the search.
-        minutes: how long this session of it takes by now.
-        before: number of its runs when the session began.
-    """
-    seen = search.summary
-    worst = seen.worst
-    least = math.nan if worst is None or worst.headline is None else worst.headline.upper
-    pace = (len(seen) - before) / max(minutes, 1e-3)
-    words = [f'{seen.outcomes[Outcome.FAIL]} failed', f'{pace:.3g}/min']
-    if pace > 0:
-        left = search.options.runs - len(seen)
-        words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
-    if seen:
-        words.append(f'lowest rho {rho_text(least)}')
-    # A viewer may stop at any time: use the interval that is valid at every look.
-    planned = search.first_planned or range(0)
-    found = failure_rate(seen.verdicts, range(planned.start, 0, planned.step)).rate
-    if found is not None:
-        words.append(f'failing {found.rate:.0%} ({found.low:.0%}-{found.high:.0%})')
-    if search.interrupted:
-        words.append('ending the current runs')
-    return words
 
 
 def space_lines(space: SearchSpace) -> list[str]:

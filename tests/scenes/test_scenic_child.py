@@ -64,6 +64,24 @@ def test_given_a_program_that_uses_networkx_when_drawn_then_it_is_the_whole_of_i
     assert client.ask(op='scene', index=0)['values']['duration_s'] == 11.0
 
 
+def test_given_a_program_that_uses_what_scenic_imports_later_when_drawn_then_it_is_the_whole_of_it(
+    client: Any, compiled: Any,
+) -> None:
+    compiled(
+        'import numpy, trimesh\n'
+        'box = trimesh.creation.box()\n'
+        'high = round(trimesh.bounds.minimum_cylinder(box)["height"])\n'
+        'filled = int(box.voxelized(0.25).fill().filled_count > 0)\n'
+        'import scipy.stats, scipy.optimize._root, numpy.f2py\n'
+        'root = scipy.optimize.brentq(lambda x: x - 3, 0, 5)\n'
+        'even = scipy.stats.norm.cdf(0) * 2 + len(scipy.ndimage.label([1, 0, 1])) '
+        '+ len(numpy.f2py.__name__)\n'
+        'model runway_world\nego = new Plane at (0, 400)\n'
+        'param duration = high + filled + root + even\n'
+    )
+    assert client.ask(op='scene', index=0)['values']['duration_s'] == pytest.approx(18)
+
+
 def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
     client: Any, compiled: Any,
 ) -> None:

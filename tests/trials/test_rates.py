@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import betaincinv
 from scipy.stats import binom
 
 from taxinet_ros.analysis.gate.criteria import (
@@ -179,6 +180,12 @@ def test_given_rejected_scenes_and_a_campaign_extended_until_it_pleases_then_the
         missed += any(excluded)
     assert at_plan / campaigns <= 0.07  # 5 % and two standard errors
     assert missed / campaigns <= 0.08  # and those of the open number, which come late
+
+
+@pytest.mark.parametrize('tail', [0.025, 0.01, 0.001, 0.3])
+def test_given_a_single_run_then_its_interval_is_that_of_the_beta_distribution(tail):
+    assert share_bounds(1, 0, tail) == (betaincinv(1, 1, tail), 1.0)
+    assert share_bounds(0, 1, tail) == (0.0, betaincinv(1, 1, 1 - tail))
 
 
 # What intervals hold -------------------------------------------------------------------------

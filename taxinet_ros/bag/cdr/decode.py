@@ -7,13 +7,20 @@ plain objects with the fields of the definition.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.serde.cdr import (
+    generate_deserialize_cdr,
+    generate_getsize_cdr,
+    generate_serialize_cdr,
+)
+from rosbags.typesys import TypesysError
+from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
+from rosbags.typesys.stores import empty
 
 from taxinet_ros.bag.errors import BagCorrupt, BagForeign
 from taxinet_ros.bag.topics import (
@@ -109,7 +116,7 @@ def _typestore(type_name: str, definition: str) -> Typestore:
         raise BagForeign(f'{type_name}: its definition has {len(definition)} characters')
     if not is_type_name(type_name):
         raise BagForeign(f'{type_name!r} is not of the form package/msg/Name')
-    store = get_typestore(Stores.EMPTY)
+    store = _Store()
     try:
         types = types_of(definition.replace('\r\n', '\n'), type_name)
         _check_size(types, type_name)
@@ -119,6 +126,50 @@ def _typestore(type_name: str, definition: str) -> Typestore:
     except Exception as error:  # Third-party parser on untrusted text: any failure is the bag's.
         raise BagForeign(f'{type_name}: definition not understood: {_line(error)}') from error
     return store
+
+
+class _Store(Typestore):
+    """Generates of each type what decodes little-endian messages, in a tenth of rosbags' time."""
+
+    def __init__(self) -> None:
+        super().__init__(empty)
+        self._made: dict[str, _Type] = {}
+
+    def get_msgdef(self, typename: str) -> Any:
+        """The code of a type; what writes it or reads other formats is generated when used."""
+        found = self._made.get(typename)
+        if found is None:
+            found = self._made[typename] = _Type(
+                self, typename, partial(super().get_msgdef, typename))
+            found.deserialize_cdr_le = generate_deserialize_cdr(found.fields, self, 'le')
+            for _, kind in found.fields:
+                node, inner = kind if kind[0] in (Nodetype.BASE, Nodetype.NAME) else kind[1][0]
+                if node == Nodetype.NAME:
+                    self.get_msgdef(inner)
+        return found
+
+
+class _Type:
+    """As :class:`rosbags.interfaces.Msgdef`."""
+
+    deserialize_cdr_le: Any
+
+    def __init__(self, store: Typestore, name: str, whole: Callable[[], Any]) -> None:
+        self.fields: Any = [
+            (normalize_fieldname(field), kind) for field, kind in store.fielddefs[name][1]
+        ]
+        self.cls = store.types[name]
+        self._store, self._whole = store, whole
+
+    def __getattr__(self, name: str) -> Any:
+        made = vars(self)
+        if name in ('getsize_cdr', 'size_cdr'):
+            made['getsize_cdr'], made['size_cdr'] = generate_getsize_cdr(self.fields, self._store)
+        elif name == 'serialize_cdr_le':
+            made[name] = generate_serialize_cdr(self.fields, self._store, 'le')
+        else:
+            made[name] = getattr(self._whole(), name)
+        return made[name]
 
 
 def _check_size(types: Mapping[str, Any], type_name: str) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import datetime
 import json
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -17,23 +19,22 @@ from rich.text import Text
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.camera import camera
+from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.system import System
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import EXTERNAL, command_of
-from taxinet_ros.core.verdict.outcome import RunRequest, RunResult
+from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 from taxinet_ros.samplers.sampler import MOST_LAG
-from taxinet_ros.trials.audit import Auditor
 from taxinet_ros.trials.campaign import ProgramOrder, exit_code
 from taxinet_ros.trials.engine import Engine, run_search
-from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.options import GRAPH, LOOP, CampaignOptions
+from taxinet_ros.trials.rates import failure_rate
 from taxinet_ros.trials.record.facts import recorded_system
 from taxinet_ros.trials.record.row import RunRow
-from taxinet_ros.trials.search_summary import live_words
 from taxinet_ros.trials.summary import (
     campaign_heading,
     campaign_summary,
@@ -47,8 +48,12 @@ from taxinet_ros.trials.worker_pool import WorkerPool
 _REFRESH_PER_S = 2.0
 
 if TYPE_CHECKING:
+    from threading import Thread
+
     from taxinet_ros.nodes.graph.runner import Graph
+    from taxinet_ros.trials.audit import Auditor
     from taxinet_ros.trials.cluster.pool import ClusterPool
+    from taxinet_ros.trials.loop_run import Loop
 
 
 def run_campaign(
@@ -242,9 +247,28 @@ class _Figures(ProgressColumn):
     def render(self, task: Task) -> Text:
         """Render the current figures."""
         task.completed = len(self._search.summary)
-        minutes = (time.monotonic() - self._began) / 60
-        words = '  '.join(live_words(self._search, minutes, self._before))
-        return Text(words, no_wrap=True, overflow='ellipsis')
+        return Text('  '.join(self._words()), no_wrap=True, overflow='ellipsis')
+
+    def _words(self) -> Iterator[str]:
+        search, seen = self._search, self._search.summary
+        minutes = max((time.monotonic() - self._began) / 60, 1e-3)
+        pace = (len(seen) - self._before) / minutes
+        yield f'{seen.outcomes[Outcome.FAIL]} failed'
+        yield f'{pace:.3g}/min'
+        if pace > 0:
+            left = search.options.runs - len(seen)
+            yield f'{datetime.timedelta(seconds=round(60 * left / pace))} left'
+        if seen:
+            least = seen.worst.headline if seen.worst else None
+            yield f'lowest rho {rho_text(least.upper if least else math.nan)}'
+        if len(seen) < search.options.runs:  # else it is about to vanish, and takes long once
+            # A viewer may stop at any time: use the interval that is valid at every look.
+            planned = search.first_planned or range(0)
+            found = failure_rate(seen.verdicts, range(planned.start, 0, planned.step)).rate
+            if found is not None:
+                yield f'failing {found.rate:.0%} ({found.low:.0%}-{found.high:.0%})'
+        if search.interrupted:
+            yield 'ending the current runs'
 
 
 class _Graphs:
@@ -254,6 +278,7 @@ class _Graphs:
         self._options = options
         self._ahead = contextlib.ExitStack()
         self._made: Graph | None = None
+        self._shared: Thread | None = None
         self._system = options.alone(
             controller_sha256=check_controller(options.controller, options.gains, graph=True),
             world_sha256=find_world(options.world).fingerprint,
@@ -282,7 +307,7 @@ class _Graphs:
         if options.processes or any(map(command_of, commands)):
             return  # It would write its logs to a folder that does not exist yet.
         if options.perception != GroundTruth.word or options.images == 'all':
-            camera.prepare()
+            self._shared = camera.prepare()
         self._made = self._ahead.enter_context(self._new())
 
     def check(self, facts: Mapping[str, Any]) -> None:
@@ -305,6 +330,8 @@ class _Graphs:
                 yield graph
         else:
             graph, self._made = self._made, None
+            if self._shared is not None:  # so that no run's speed is that of this
+                self._shared.join()
             with self._ahead.pop_all():
                 yield graph
 
@@ -323,6 +350,10 @@ class _Graphs:
 @contextlib.contextmanager
 def _loop(options: CampaignOptions, system: System) -> Iterator[Graph]:
     """The loop without ROS, used as a graph; it is this process that runs."""
+    # Reading bags, which a graph does not do, takes 50 ms to import.
+    from taxinet_ros.trials.audit import Auditor
+    from taxinet_ros.trials.loop_run import Loop
+
     def audit() -> list[str]:
         from taxinet_ros.nodes.graph.worker import audit_command
 

@@ -78,9 +78,6 @@ def estimate(
     program's own distribution. Its headline is the first requirement, or the only one. Prints a
     95 % interval, and draws P(robustness <= r). Exit codes: 0 estimated, 3 a wide interval.
     """
-    from taxinet_ros.scenes.scenic_server import start_early
-
-    start_early()
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search import make_estimate
 

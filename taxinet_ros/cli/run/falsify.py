@@ -83,9 +83,6 @@ def falsify(
     from the program itself to estimate failure rates; `--sampler ce` also learns where failures are
     likely. Can be resumed after Ctrl-C or power loss.
     """
-    from taxinet_ros.scenes.scenic_server import start_early
-
-    start_early()  # it is imported in its own process while this one goes on
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.trials.record.facts import missing_packages_named
     from taxinet_ros.trials.search import make_search

@@ -82,10 +82,6 @@ def run(
     rerun and compared instead: exit code 0 bit-identical, 1 different. With --from and the folder
     of `taxinet score --simulate --out`, a run starts where that recording began.
     """
-    if bag is None:
-        from taxinet_ros.scenes.scenic_server import start_early
-
-        start_early()
     from taxinet_ros.cli.run.campaign import run_campaign, with_run_workers
     from taxinet_ros.trials.options import LOOP
 

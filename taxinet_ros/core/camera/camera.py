@@ -20,6 +20,7 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
+import threading
 from collections.abc import Callable
 from functools import cached_property
 
@@ -33,6 +34,7 @@ from taxinet_ros.core.camera.airframe import (
     AirframeView,
     Mask,
     OwnShadow,
+    covering_doubts,
     drawing,
 )
 from taxinet_ros.core.camera.atmosphere import SPARSE_PX, Atmosphere, RainSheet, scramble
@@ -124,10 +126,21 @@ def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[n
     return table[0, :, brightest].copy(), np.minimum(gain, 1.0)
 
 
-def prepare() -> None:
-    """Build the data shared by all cameras of a process ahead of the first camera."""
-    ground_atlas(default_runway())
-    grain_atlas()
+def prepare() -> threading.Thread:
+    """Build what all cameras of a process share ahead of the first one, in a thread.
+
+    Returns:
+        The thread; a camera that is made before its end waits for it.
+    """
+    def share() -> None:
+        scenario = Scenario()
+        covering_doubts(scenario.aircraft_model, scenario.camera_model)  # which draws the aircraft
+        grain_atlas()
+        ground_atlas(default_runway())
+
+    thread = threading.Thread(target=share, daemon=True)
+    thread.start()
+    return thread
 
 
 class Camera:

@@ -8,8 +8,6 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from taxinet_ros.bag.rewrite.frames import restore_in_place
-
 _PAUSE_S = 0.001
 
 
@@ -34,6 +32,9 @@ class LateFrames:
 
     def begin(self, bag: Path, min_free_bytes: int) -> None:
         """Add frames to the bag of a finished run."""
+        # Imported here because it reads bags, which takes 30 ms that no other run needs.
+        from taxinet_ros.bag.rewrite.frames import restore_in_place
+
         self._frames = restore_in_place(bag, min_free_bytes)
         self._timer.reset()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -46,6 +47,30 @@ def test_given_the_atlas_when_built_then_it_fits_in_memory_and_is_shared() -> No
     assert ground.ground_atlas(KMWH) is atlas
     assert ground.ground_atlas(KMWH, None, airport=None, crossing=True) is atlas
     assert not atlas.flags.writeable
+
+
+def test_given_an_atlas_that_a_thread_makes_when_another_needs_it_then_it_is_made_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun, again, made = Event(), Event(), []
+
+    def make(*_: object) -> np.ndarray:
+        made.append(np.zeros(1))
+        if len(made) == 1:
+            begun.set()
+            again.wait(0.2)  # which another would end that made its own
+        again.set()
+        return made[-1]
+
+    monkeypatch.setattr(ground, 'make_ground_atlas', make)
+    runway, found = replace(KMWH, length_m=KMWH.length_m + 1), []
+    thread = Thread(target=lambda: found.append(ground.ground_atlas(runway)))
+    thread.start()
+    begun.wait()
+    found.append(ground.ground_atlas(runway))
+    thread.join()
+    assert len(made) == 1
+    assert found[0] is found[1]
 
 
 def test_given_a_clean_stretch_when_measured_then_paint_asphalt_and_field_have_their_tones() -> (

@@ -54,7 +54,6 @@ def test_given_a_stage_then_its_function_has_the_options_of_its_command(
 ):
     asked: list[object] = []
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('taxinet_ros.scenes.scenic_server.start_early', lambda: None)
     monkeypatch.setattr('taxinet_ros.cli.run.search.run_falsify',
                         lambda search, **_: asked.append(asked_of(search)) or 0)
     monkeypatch.setattr('taxinet_ros.cli.training.train.run_train', asked.append)

@@ -12,6 +12,7 @@ track, with columns that are fine as far to the side as the track goes.
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -48,6 +49,9 @@ GRAIN_TEXELS, GRAIN_M, GRAIN_LEVELS = 512, 0.012, 8
 GRAIN_NEUTRAL = 128
 """Neutral grain code: the product is scaled by its inverse."""
 
+
+_one_at_a_time = threading.Lock()
+"""Who needs an atlas that another thread makes waits for it, rather than make it once more."""
 
 _TRACK_ROW_M, _TRACK_FINE_M = 0.25, 0.15
 _TRACK_MOST, _TRACK_BLOCK, _TRACK_LEVELS = (3072, 2560), 512, 10
@@ -94,7 +98,8 @@ def ground_atlas(
         airport: other pavement and paint, if known.
         crossing: whether crossing runways are drawn.
     """
-    return _kept_atlas(runway, track, airport, crossing)
+    with _one_at_a_time:
+        return _kept_atlas(runway, track, airport, crossing)
 
 
 @lru_cache(maxsize=4)
@@ -299,9 +304,14 @@ def _darken_shoulders(
     block[beside] = np.rint(block[beside] * np.float32(_SHOULDER)).astype(np.uint8)
 
 
-@cache
 def grain_atlas() -> NDArray[np.uint8]:
     """Ripmap of a 6.1 m tile of fine grain around GRAIN_NEUTRAL; multiplies the colour."""
+    with _one_at_a_time:
+        return _kept_grain()
+
+
+@cache
+def _kept_grain() -> NDArray[np.uint8]:
     size = (GRAIN_TEXELS, GRAIN_TEXELS)
     grey = np.zeros(size, np.float32)
     for seed, blur_texels, amount in ((91, 0.4, 0.062), (92, 1.3, 0.022), (93, 4.0, 0.014)):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -151,6 +152,7 @@ _CROSSING_PAINT_SHADE = 8.0
 _LANE_M, _SLAB_M = 3.81, 7.62
 _CRACK_BEYOND_M = 1.76
 _CRACK = np.array([[0.5], [1.0], [0.5]], np.float32)
+_WHEELS_M = -2.3, 0.0, 2.3
 _PAINT_TINT = np.array([1.01, 1.0, 0.96], np.float32)
 
 
@@ -318,16 +320,17 @@ def _lay_rubber(
     """Draw tyre rubber: thick in the touchdown zones, thin along the centreline between them."""
     density = np.zeros(grid.shape, np.float32)
     rng = np.random.default_rng(style.seed + 31)
-    shift = style.rubber_shift_m
+    centres = grid.centres(slice(0, grid.rows))
+    streak = partial(_streak, density, grid, centres, rng, style.rubber_shift_m)
     for _ in range(round(640 * style.rubber_amount)):
         start = runway.displaced_m[0] + 40 + rng.beta(1.2, 2.6) * 800
-        _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
+        streak(start=start, length=rng.uniform(15, 120))
     for _ in range(round(460 * style.rubber_amount)):
         start = runway.length_m - runway.displaced_m[1] - 60 - rng.beta(1.2, 2.6) * 800
-        _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
+        streak(start=start, length=rng.uniform(15, 120))
     for _ in range(round(90 * style.rubber_amount)):
         start = rng.uniform(500, max(runway.length_m - 642, 600))
-        _streak(density, grid, rng, shift, start=start, length=rng.uniform(80, 300), strength=0.35)
+        streak(start=start, length=rng.uniform(80, 300), strength=0.35)
     _smear(density, grid, style, runway)
     patchy = smooth_noise(style.seed + 32, grid.shape, (3.0 / grid.dx_m, 0.4 / grid.dy_m))
     patchy += smooth_noise(style.seed + 33, grid.shape, (14.0 / grid.dx_m, 0.5 / grid.dy_m))
@@ -344,6 +347,7 @@ def _lay_rubber(
 def _streak(
     density: Floats,
     grid: Grid,
+    centres: tuple[Floats, Floats],
     rng: np.random.Generator,
     shift_m: float,
     *,
@@ -352,7 +356,7 @@ def _streak(
     strength: float = 1.0,
 ) -> None:
     """Add one tyre's mark: a soft-edged, tapering, slightly slanted line."""
-    middle = shift_m + float(rng.normal(rng.choice((-2.3, 0.0, 2.3)), 1.9))
+    middle = shift_m + float(rng.normal(_WHEELS_M[rng.integers(3)], 1.9))
     width, slant = float(rng.uniform(0.08, 0.27)), float(rng.normal(0, 0.004))
     darkness = strength * float(rng.uniform(0.2, 1.0))
     first, last = (int(min(max(grid.row(x), 0), grid.rows)) for x in (start, start + length))
@@ -360,10 +364,10 @@ def _streak(
     left, right = (int(min(max(grid.column(middle + s * reach), 0), grid.columns)) for s in (-1, 1))
     if last <= first or right <= left:
         return
-    x, y = grid.centres(slice(first, last))
-    along = (x - start) / length
+    x, y = centres[0][first:last] - start, centres[1][:, left:right]
+    along = x / length
     taper = np.clip(along * 8, 0, 1) * np.clip((1 - along) * 1.6, 0, 1)
-    offset = (y[:, left:right] - middle - slant * (x - start)) / width
+    offset = (y - middle - slant * x) / width
     bell = np.maximum(1 - offset * offset * (1 / 9), 0)
     bell *= bell
     bell *= bell
