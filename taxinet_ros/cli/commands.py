@@ -19,7 +19,6 @@ from typer.core import TyperGroup
 import taxinet_ros
 from taxinet_ros.cli.checked import check_commands
 from taxinet_ros.cli.help import add_examples
-from taxinet_ros.cli.quick import QuickGroup
 from taxinet_ros.errors import UsageError
 from taxinet_ros.registry import COMMANDS, SHIPPED, Extension, find, installed
 
@@ -199,7 +198,7 @@ class _Commands(Mapping[str, Any]):
         return len(list(iter(self)))
 
 
-class Commands(QuickGroup):
+class Commands(TyperGroup):
     """The group of all commands. Lists and completes their names without importing any."""
 
     def __init__(self, *words: Any, **named: Any) -> None:

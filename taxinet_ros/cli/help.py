@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import typer
-
-from taxinet_ros.cli.quick import QuickCommand, QuickGroup
+from typer.core import TyperCommand
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     'demo': ('taxinet demo',),
@@ -133,7 +132,7 @@ _FIRST_PAGE = 20
 _ALL = '--help-all'
 
 
-class PagedCommand(QuickCommand):
+class PagedCommand(TyperCommand):
     """A command whose help shows at most a page of its options; all of them with --help-all."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -170,7 +169,7 @@ def command_group(help_text: str) -> typer.Typer:
     Args:
         help_text: what its commands are for.
     """
-    group = typer.Typer(cls=QuickGroup, rich_markup_mode=None, help=help_text)
+    group = typer.Typer(rich_markup_mode=None, help=help_text)
 
     @group.callback(invoke_without_command=True)
     def show_help(context: typer.Context) -> None:
