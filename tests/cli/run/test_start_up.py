@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 _LATER = {
-    'pandas', 'pyarrow', 'scipy', 'pydantic', 'matplotlib', 'torch', 'onnxruntime', 'asyncio',
+    'pandas', 'pyarrow', 'scipy', 'matplotlib', 'torch', 'onnxruntime', 'asyncio',
     'taxinet_ros.bag.check.compare', 'taxinet_ros.bag.rewrite.frames',
     'taxinet_ros.samplers.registry', 'taxinet_ros.trials.audit', 'taxinet_ros.trials.search',
 }
