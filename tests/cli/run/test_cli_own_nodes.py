@@ -157,7 +157,8 @@ def test_given_nodes_then_they_are_named_as_they_name_themselves(folder):
 ])
 def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, campaign, words):
     bag = f'{campaign}/nominal-s0-00000'
-    done = taxinet('run', '--from', bag, *words, '--out', f'again-{campaign}{len(words)}', cwd=folder)
+    out = f'again-{campaign}{len(words)}'
+    done = taxinet('run', '--from', bag, *words, '--out', out, cwd=folder)
     assert (done.returncode, done.stdout.splitlines()[-1][:9]) == (0, 'the same:'), done.stderr
 
 
