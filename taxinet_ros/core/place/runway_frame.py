@@ -20,6 +20,11 @@ from taxinet_ros.core.place.runway import Runway
 
 Vector = tuple[float, float, float]
 
+_WGS84 = pymap3d.Ellipsoid.from_name('wgs84')
+_MAJOR_M, _MINOR_M = _WGS84.semimajor_axis, _WGS84.semiminor_axis
+_FOCAL_M = math.sqrt(_MAJOR_M**2 - _MINOR_M**2)
+"""Distance of the foci of a meridian from the Earth's centre."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GeodeticPose:
@@ -57,9 +62,39 @@ def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+def _hypot(x: float, y: float) -> float:
+    """The C library's, as numpy has it; :func:`math.hypot` rounds otherwise."""
+    return abs(complex(x, y))
+
+
 def _ecef(latitude_rad: float, longitude_rad: float, altitude_m: float) -> Vector:
-    x, y, z = pymap3d.geodetic2ecef(latitude_rad, longitude_rad, altitude_m, deg=False)
-    return float(x), float(y), float(z)
+    """As :func:`pymap3d.geodetic2ecef`, to the bit; that is made for arrays, and slow."""
+    sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
+    radius_m = _MAJOR_M**2 / _hypot(_MAJOR_M * cos_lat, _MINOR_M * sin_lat)
+    out_m = (radius_m + altitude_m) * cos_lat
+    return (
+        out_m * math.cos(longitude_rad), out_m * math.sin(longitude_rad),
+        (radius_m * (_MINOR_M / _MAJOR_M) ** 2 + altitude_m) * sin_lat,
+    )
+
+
+def _geodetic(x: float, y: float, z: float) -> Vector:
+    """As :func:`pymap3d.ecef2geodetic`, to the bit, away from the poles: You (2000)."""
+    focal2 = _FOCAL_M**2
+    beyond = math.sqrt(x * x + y * y + z * z) ** 2 - focal2
+    u = math.sqrt(0.5 * beyond + 0.5 * _hypot(beyond, 2 * _FOCAL_M * z))
+    out_m, reach_m = _hypot(x, y), _hypot(u, _FOCAL_M)
+    beta = math.atan(reach_m / u * z / out_m)
+    sin, cos = math.sin(beta), math.cos(beta)
+    beta += (_MINOR_M * u - _MAJOR_M * reach_m + focal2) * sin / (
+        _MAJOR_M * reach_m / cos - focal2 * cos
+    )
+    altitude_m = _hypot(z - _MINOR_M * math.sin(beta), out_m - _MAJOR_M * math.cos(beta))
+    within = x * x / _MAJOR_M**2 + y * y / _MAJOR_M**2 + z * z / _MINOR_M**2
+    return (
+        math.atan(_MAJOR_M / _MINOR_M * math.tan(beta)), math.atan2(y, x),
+        -altitude_m if within < 1 else altitude_m,
+    )
 
 
 def _north_east(latitude_rad: float, longitude_rad: float) -> tuple[Vector, Vector]:
@@ -120,7 +155,10 @@ class RunwayFrame:
         # The height is above the ground, not above the tangent plane: each iteration corrects the
         # altitude and the lateral error, which shrinks 2000-fold per iteration.
         for _ in range(3):
-            latitude, longitude, reached_m = self._geodetic(pose.x_m, pose.y_m, up_m)
+            latitude, longitude, reached_m = _geodetic(*(
+                o + pose.x_m * x + pose.y_m * y + up_m * z
+                for o, x, y, z in zip(self._origin, self._x, self._y, self._z, strict=True)
+            ))
             up_m += altitude_m - reached_m
         (north_x, north_y), (east_x, east_y) = self._compass(latitude, longitude)
         cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
@@ -139,14 +177,6 @@ class RunwayFrame:
             point[2] - self._origin[2],
         )
         return _dot(offset, self._x), _dot(offset, self._y), _dot(offset, self._z)
-
-    def _geodetic(self, x_m: float, y_m: float, up_m: float) -> Vector:
-        ecef = (
-            o + x_m * x + y_m * y + up_m * z
-            for o, x, y, z in zip(self._origin, self._x, self._y, self._z, strict=True)
-        )
-        latitude, longitude, altitude_m = pymap3d.ecef2geodetic(*ecef, deg=False)
-        return float(latitude), float(longitude), float(altitude_m)
 
     def _compass(
         self, latitude_rad: float, longitude_rad: float
