@@ -40,7 +40,7 @@ from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, grou
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.lens_faults import LensFaults
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
-from taxinet_ros.core.camera.objects import ObjectsView
+from taxinet_ros.core.camera.objects import ObjectsView, Placed
 from taxinet_ros.core.datarefs import refuse_datarefs
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
@@ -187,6 +187,7 @@ class Camera:
             if casts and scenario.shadows and shading
             else None
         )
+        self._others = scenario.others
         self._objects = (
             ObjectsView(
                 scenario.others, self._light, self._clouds, self._atmosphere, gain,
@@ -223,6 +224,7 @@ class Camera:
         """
         body, to_optical, camera = pose(state, self.model)
         rays = to_optical.T @ self._to_ray
+        solids = self._others.solids_at(stamp_ns, held)
         colour = self._ground.render(rays, camera)
         mark('ground')
         if self._objects is not None:
@@ -231,12 +233,12 @@ class Camera:
         if self._clouds.casts:
             self._clouds.shade(colour, rays, camera)
             mark('cloud shade')
-        self._shade(colour, (body, to_optical, camera), state, stamp_ns, mark, held)
+        self._shade(colour, (body, to_optical, camera), state, solids, mark)
         picture = np.empty((*self._size, 3), np.uint8)
         self._atmosphere.develop(colour, self._curve, rays, float(camera[2]), picture)
         mark('atmosphere')
         if self._objects is not None:
-            self._objects.draw_solids(picture, to_optical, camera, stamp_ns, held)
+            self._objects.draw_solids(picture, to_optical, camera, solids)
             mark('others')
         if self._rain is not None:
             cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
@@ -264,7 +266,7 @@ class Camera:
 
     def _shade(
         self, colour: NDArray[np.uint8], at: tuple[Vectors, Vectors, Vectors],
-        state: AircraftState, stamp_ns: int, mark: Mark, held: Holds,
+        state: AircraftState, solids: Placed, mark: Mark,
     ) -> None:
         """Darken the ground in the shadows of the aircraft and of others, nowhere twice."""
         body, to_optical, camera = at
@@ -281,7 +283,7 @@ class Camera:
             shaded = np.zeros(self._size, np.uint8)
             if shadow is not None:
                 shaded[shadow[:2]] = shadow[2]
-            self._objects.shade(colour, to_optical, camera, stamp_ns, shaded, held)
+            self._objects.shade(colour, to_optical, camera, solids, shaded)
             mark('shadows of others')
 
 

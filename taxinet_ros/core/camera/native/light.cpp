@@ -63,6 +63,23 @@ FOR_EACH_PROCESSOR void shine_row(std::uint8_t *__restrict codes, float strength
     }
 }
 
+FOR_EACH_PROCESSOR void blend_row(std::uint8_t *__restrict codes,
+                                  const std::uint8_t *__restrict mask, float share,
+                                  const float *__restrict paint, int width) {
+    for (int u = 0; u < width; ++u) {
+        for (int c = 0; c < kChannels; ++c) {
+            const auto code = static_cast<float>(codes[kChannels * u + c]);
+            codes[kChannels * u + c] = code_of(code + share * mask[u] * (paint[c] - code));
+        }
+    }
+}
+
+void require_mask(const Picture &mask, const Rows &rows) {
+    require(mask.ndim() == 2 && mask.shape(0) == rows.count && mask.shape(1) == rows.width &&
+                mask.strides(1) == 1,
+            "a mask is as large as its part of the picture, its codes side by side");
+}
+
 #if defined(WITH_VECTORS)
 
 // Processes a whole register of codes at a time: looks up both halves of the table and selects by
@@ -112,9 +129,7 @@ void tint_rows(Picture picture, const Doubles &shares) {
 
 void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3> &depth) {
     const Rows rows(picture);
-    require(mask.ndim() == 2 && mask.shape(0) == rows.count && mask.shape(1) == rows.width &&
-                mask.strides(1) == 1,
-            "a mask is as large as its part of the picture, its codes side by side");
+    require_mask(mask, rows);
     constexpr int kEight = 8;  // pixels whose codes are compared at once
     // One extra byte, because four are written at once.
     std::array<std::array<std::uint8_t, kChannels + 1>, 256> left{};
@@ -152,6 +167,16 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
         }
         keep_shares(rows.at(v) + kChannels * first, share.data() + kChannels * first,
                     kChannels * (end - first));
+    }
+}
+
+void blend_masked(Picture picture, const Picture &mask, const std::array<float, 3> &paint,
+                  double opacity) {
+    const Rows rows(picture);
+    require_mask(mask, rows);
+    const auto share = static_cast<float>(opacity / 255);
+    for (int v = 0; v < rows.count; ++v) {
+        blend_row(rows.at(v), mask.data(v), share, paint.data(), rows.width);
     }
 }
 
