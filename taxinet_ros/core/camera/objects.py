@@ -123,6 +123,7 @@ class ObjectsView:
         if self._cast is not None:
             self._cast[:, 2] -= light.sun / light.sun[2]
         self._solids = {id(one): _Solid(one, light) for one in traffic.solids}
+        self._buffer = np.empty(0, np.uint8)
         self._marks = [
             (mark.pose_at(0), _joined(flat), np.array(daylight_colour(mark.colour)) * gain, opacity)
             for mark in traffic.marks for flat, opacity in _flat(mark)
@@ -201,11 +202,10 @@ class ObjectsView:
         kept, added = self._atmosphere.veil_at(away_m)
         codes = np.rint(solid.codes(pose.heading_rad, sun_share)[numbers] * kept + added)
         behind = picture[rows, columns]
-        height, width = behind.shape[:2]
-        canvas = cv2.resize(behind, (width * fine, height * fine), interpolation=cv2.INTER_NEAREST)
+        canvas = self._canvas(behind.shape[:2], fine, 4)
         for polygon, code in zip(polygons, codes.tolist(), strict=True):
-            cv2.fillConvexPoly(canvas, polygon, code, shift=_SHIFT)
-        behind[:] = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
+            cv2.fillConvexPoly(canvas, polygon, (*code, 1), shift=_SHIFT)
+        pixels.average(canvas, behind)
 
     def _mask(
         self, parts: _Joined, pose: Pose, cast: Vectors, to_optical: Vectors, camera: Vectors,
@@ -226,14 +226,24 @@ class ObjectsView:
         if found is None:
             return None
         rows, columns, fine, polygons = found
-        height, width = rows.stop - rows.start, columns.stop - columns.start
-        mask = np.zeros((height * fine, width * fine), np.uint8)
+        mask = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
+        canvas = self._canvas(mask.shape, fine, 1)
         for polygon in polygons:
-            cv2.fillConvexPoly(mask, polygon, (255,), shift=_SHIFT)
-        small = cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA)
+            cv2.fillConvexPoly(canvas, polygon, (255,), shift=_SHIFT)
+        pixels.average(canvas, mask)
         if margin > 1:
-            small = cv2.blur(small, (margin, margin))
-        return rows, columns, np.asarray(small, np.uint8)
+            mask = np.asarray(cv2.blur(mask, (margin, margin)), np.uint8)
+        return rows, columns, mask
+
+    def _canvas(self, size: tuple[int, ...], fine: int, codes: int) -> Picture:
+        """An empty canvas, as many times finer than a size and with so many codes a pixel."""
+        shape = size[0] * fine, size[1] * fine, *([codes] if codes > 1 else [])
+        count = math.prod(shape)
+        if count > len(self._buffer):
+            self._buffer = np.empty(count, np.uint8)
+        canvas = self._buffer[:count].reshape(shape)
+        canvas.fill(0)
+        return canvas
 
 
 def _flat(mark: GroundObject) -> Iterator[tuple[list[Vectors], float]]:

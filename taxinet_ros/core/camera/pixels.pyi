@@ -395,6 +395,18 @@ def tint_masked(picture: _Bytes, mask: _Bytes, depth: Sequence[float] | _Doubles
         depth: full darkening per channel, 0..1.
     """
 
+def average(canvas: _Bytes, picture: _Bytes) -> None:
+    """Reduce a canvas, 2, 4 or 8 times as high and as wide, to a part of an image, in place.
+
+    As OpenCV's ``INTER_AREA``, to the bit.
+
+    Args:
+        canvas: of a mask its codes; else (rows, columns, 4): a colour, and 1 where it is drawn, or
+            four zeros, through which the picture is seen.
+        picture: the mask (rows, columns), or the part (rows, columns, 3), whose rows may be
+            non-contiguous.
+    """
+
 def blend_masked(
     picture: _Bytes, mask: _Bytes, paint: Sequence[float] | _Doubles, opacity: float
 ) -> None:

@@ -149,6 +149,7 @@ PYBIND11_MODULE(pixels, module) {
     module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));
     module.def("tint_masked", &tint_masked, py::arg("picture").noconvert(),
                py::arg("mask").noconvert(), py::arg("depth"));
+    module.def("average", &average, py::arg("canvas").noconvert(), py::arg("picture").noconvert());
     module.def("blend_masked", &blend_masked, py::arg("picture").noconvert(),
                py::arg("mask").noconvert(), py::arg("paint"), py::arg("opacity"));
     module.def("develop", &develop, py::arg("ground").noconvert(), py::arg("curve"),
