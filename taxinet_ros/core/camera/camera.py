@@ -198,6 +198,7 @@ class Camera:
             across, down = (table.astype(np.float32) for table in taken_from)
             # Integer maps give the same bytes on every processor.
             self._maps = cv2.convertMaps(across, down, cv2.CV_16SC2)
+            self._straight = np.empty((*self._size, 3), np.uint8)
         self._noise = SensorNoise(scenario, model)
         self._faults = LensFaults(scenario, self._light, model.intrinsics, model.shape[:2])
 
@@ -234,7 +235,8 @@ class Camera:
             self._clouds.shade(colour, rays, camera)
             mark('cloud shade')
         self._shade(colour, (body, to_optical, camera), state, solids, mark)
-        picture = np.empty((*self._size, 3), np.uint8)
+        # What is distorted is another picture; a large one is slow to get anew.
+        picture = self._straight if self.model.distorts else np.empty((*self._size, 3), np.uint8)
         self._atmosphere.develop(colour, self._curve, rays, float(camera[2]), picture)
         mark('atmosphere')
         if self._objects is not None:
@@ -261,7 +263,7 @@ class Camera:
             picture = np.asarray(cv2.remap(picture, across, down, cv2.INTER_LINEAR), np.uint8)
         picture = np.ascontiguousarray(picture[:, :self.model.width_px])
         if self.model.noise_codes:
-            picture = np.asarray(cv2.add(picture, self._noise.at(stamp_ns), dtype=cv2.CV_8U))
+            self._noise.add_to(picture, stamp_ns)
         return picture
 
     def _shade(
@@ -301,15 +303,20 @@ class SensorNoise:
         self._model = model
 
     @cached_property
-    def _field(self) -> NDArray[np.int16]:
+    def _field(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """What it adds, and what it takes off: as bytes, which are several times as fast."""
         height, width, channels = self._model.shape
         rng = np.random.default_rng(list(hashlib.sha256(self._seed).digest()))
         size = height + self._SPARE_PX, width + self._SPARE_PX, channels
         noise = rng.standard_normal(size, np.float32) * np.float32(self._model.noise_codes)
-        return np.asarray(np.rint(noise), np.int16)
+        codes = np.clip(np.rint(noise), -255, 255)
+        return np.maximum(codes, 0).astype(np.uint8), np.maximum(-codes, 0).astype(np.uint8)
 
-    def at(self, stamp_ns: int) -> NDArray[np.int16]:
-        """Noise of the image at a stamp, (height, width, 3); a view."""
+    def add_to(self, picture: NDArray[np.uint8], stamp_ns: int) -> None:
+        """Add the noise at a stamp to an image (height, width, 3), in place."""
         bits = scramble(stamp_ns)
         top, left = bits % self._SPARE_PX, (bits >> 20) % self._SPARE_PX
-        return self._field[top:top + self._model.height_px, left:left + self._model.width_px]
+        height, width = picture.shape[:2]
+        more, less = (one[top:top + height, left:left + width] for one in self._field)
+        cv2.add(picture, more, dst=picture)
+        cv2.subtract(picture, less, dst=picture)
