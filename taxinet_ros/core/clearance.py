@@ -117,7 +117,7 @@ class Clearance:
             for outline in outlines(one.kind, one.size):
                 own = _own_plan(self._aircraft, outline.low_m, outline.high_m)
                 if own is not None:
-                    least_m = min(least_m, pixels.gap(*own, _placed(outline, turned), [0]))
+                    least_m = min(least_m, pixels.gap(*own, _placed(outline, turned)))
         return least_m
 
 
@@ -131,7 +131,7 @@ def _seen_from(pose: Pose, x_m: float, y_m: float, cos: float, sin: float) -> Po
 def _placed(outline: Outline, pose: Pose) -> Vectors:
     cos, sin = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     return np.array([
-        (pose.x_m + cos * x - sin * y, pose.y_m + sin * x + cos * y) for x, y in outline.hull
+        (pose.x_m + cos * x - sin * y, pose.y_m + sin * x + cos * y, 0.0) for x, y in outline.hull
     ])
 
 
@@ -141,7 +141,7 @@ def _own_plan(
 ) -> tuple[Vectors, list[int]] | None:
     """Plan of what the aircraft has between two heights above ground; None if it has nothing.
 
-    Corners (n, 2) of convex polygons, counter-clockwise, and the first one of each.
+    Corners (n, 3) of convex polygons, counter-clockwise, and the first one of each.
     """
     hulls = [
         _plan(points) for part in _own_parts(aircraft)
@@ -150,7 +150,7 @@ def _own_plan(
     if not hulls:
         return None
     starts = itertools.accumulate((len(one) for one in hulls[:-1]), initial=0)
-    return np.concatenate(hulls), list(starts)
+    return np.pad(np.concatenate(hulls), ((0, 0), (0, 1))), list(starts)
 
 
 def _plan(points: Sequence[tuple[float, float]]) -> Points:

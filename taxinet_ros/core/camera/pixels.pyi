@@ -371,16 +371,13 @@ class Pinhole:
             camera: as of :meth:`cover`.
         """
 
-def gap(
-    corners: _Doubles, starts: Sequence[int], other_corners: _Doubles, other_starts: Sequence[int]
-) -> float:
-    """Least distance between two sets of convex polygons [m]; 0 where they overlap.
+def gap(corners: _Doubles, starts: Sequence[int], polygon: _Doubles) -> float:
+    """Least distance in plan of a convex polygon to others [m]; 0 where it overlaps one.
 
     Args:
-        corners: corners of all polygons, (N, 2), counter-clockwise [m].
-        starts: index of the first corner of each polygon, in order.
-        other_corners: of the other set.
-        other_starts: of the other set.
+        corners: corners of the others, (N, 3), counter-clockwise [m]; their height does not count.
+        starts: index of the first corner of each, in order.
+        polygon: corners of the polygon, (n, 3), as theirs.
     """
 
 def tint_rows(picture: _Bytes, shares: _Doubles) -> None:

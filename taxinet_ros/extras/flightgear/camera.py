@@ -137,10 +137,10 @@ class FlightGearCamera:
             raise failed(
                 InfraKind.SIM, f'its window has been resized to {taken.shape[1]} x {taken.shape[0]}'
             )
-        picture = cv2.remap(taken, self.lens.columns, self.lens.rows, cv2.INTER_LINEAR)
+        seen = cv2.remap(taken, self.lens.columns, self.lens.rows, cv2.INTER_LINEAR)
         if self._model.exposure_ev:
-            picture = cv2.LUT(picture, self._exposed)
-        picture = np.asarray(picture, np.uint8)
+            seen = cv2.LUT(seen, self._exposed)
+        picture: NDArray[np.uint8] = np.asarray(seen, np.uint8)
         if self._model.noise_codes:
             self._noise.add_to(picture, stamp_ns)
         return picture

@@ -8,10 +8,10 @@
 
 namespace pixels {
 
-// Least distance between two sets of convex polygons [m]; 0 where they overlap.
+// Least distance of a convex polygon to others [m]; 0 where it overlaps one.
 //
-// Corners are (N, 2) [m], counter-clockwise; starts are the first ones of the polygons, in order.
-double gap(const Doubles &corners, const std::vector<int> &starts, const Doubles &other_corners,
-           const std::vector<int> &other_starts);
+// Corners are (N, 3), of which the height does not count, counter-clockwise; starts are the first
+// ones of the others, in order.
+double gap(const Doubles &corners, const std::vector<int> &starts, const Doubles &polygon);
 
 }  // namespace pixels

@@ -34,29 +34,6 @@ int rows_above(const Rays &rays, double end_tan, const Rows &picture) {
     return static_cast<int>(std::clamp(last + 1, 0.0, static_cast<double>(picture.count)));
 }
 
-// Angles of points (x, y), off by less than kNear: the C library's take most of a picture's time.
-constexpr double kNear = 1e-11;
-FOR_EACH_PROCESSOR void near_angles(const double *__restrict y, const double *__restrict x,
-                                    int count, double *__restrict angles) {
-    constexpr double kPi = std::numbers::pi;
-    constexpr int kTerms = 13;  // the next one is below 2e-12
-    INDEPENDENT
-    for (int i = 0; i < count; ++i) {
-        const double beside = std::abs(x[i]), above = std::abs(y[i]);
-        const double tan = std::min(beside, above) / std::max(beside, above);
-        const bool wide = tan > 0.4142;  // about that of pi / 8
-        const double near = wide ? (tan - 1) / (tan + 1) : tan;
-        double sum = 0;
-        for (int k = kTerms - 1; k >= 0; --k) {
-            sum = 1.0 / (2 * k + 1) - near * near * sum;
-        }
-        double angle = near * sum + (wide ? kPi / 4 : 0.0);
-        angle = above > beside ? kPi / 2 - angle : angle;
-        angle = x[i] < 0 ? kPi - angle : angle;
-        angles[i] = y[i] < 0 ? -angle : angle;
-    }
-}
-
 // Numbers of a row's pixels, interpolated between those to the left and to the right of each.
 FOR_EACH_PROCESSOR void interpolate(const float *__restrict sparse,
                                     const std::int32_t *__restrict left,
@@ -165,35 +142,12 @@ void Panorama::find_directions(const Rays &rays, const Ray &middle, int v,
     const double cos = middle[0], sin = middle[1];
     const double north = std::atan2(sin, cos) + std::numbers::pi;
     const double per_radian = columns_ / (2 * std::numbers::pi);
-    const int count = static_cast<int>(across.size());
-    std::vector<double> numbers(6 * count);
-    double *aside = numbers.data(), *ahead = aside + count, *z = ahead + count, *flat = z + count;
-    double *yaws = flat + count, *elevations = yaws + count;
-    for (int i = 0; i < count; ++i) {
-        const Ray ray = ray_of(rays, first_column_ + i * spacing_, v);
-        aside[i] = cos * ray[1] - sin * ray[0];
-        ahead[i] = cos * ray[0] + sin * ray[1];
-        z[i] = ray[2];
-        flat[i] = std::sqrt(ray[0] * ray[0] + ray[1] * ray[1]);
-    }
-    near_angles(aside, ahead, count, yaws);
-    near_angles(z, flat, count, elevations);
-    const auto column = [&](double yaw) { return static_cast<float>((north + yaw) * per_radian); };
-    const auto row = [&](double elevation) {
-        const double found = (elevation - lowest_rad_) / step_rad_;
-        return static_cast<float>(std::clamp(found, 0.0, codes_.rows - 1.0));
-    };
-    for (int i = 0; i < count; ++i) {
-        // Where single precision may tell them apart, the C library's angles decide.
-        across[i] = column(yaws[i] - kNear);
-        if (across[i] != column(yaws[i] + kNear)) {
-            across[i] = column(std::atan2(aside[i], ahead[i]));
-        }
-        up[i] = row(elevations[i] - kNear);
-        if (up[i] != row(elevations[i] + kNear)) {
-            const Ray ray = ray_of(rays, first_column_ + i * spacing_, v);
-            up[i] = row(std::atan2(z[i], std::hypot(ray[0], ray[1])));
-        }
+    for (std::size_t i = 0; i < across.size(); ++i) {
+        const auto [x, y, z] = ray_of(rays, first_column_ + static_cast<int>(i) * spacing_, v);
+        const double aside = std::atan2(cos * y - sin * x, cos * x + sin * y);
+        const double row = (std::atan2(z, std::hypot(x, y)) - lowest_rad_) / step_rad_;
+        across[i] = static_cast<float>((north + aside) * per_radian);
+        up[i] = static_cast<float>(std::clamp(row, 0.0, codes_.rows - 1.0));
     }
 }
 
