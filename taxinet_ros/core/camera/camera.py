@@ -309,8 +309,9 @@ class SensorNoise:
         rng = np.random.default_rng(list(hashlib.sha256(self._seed).digest()))
         size = height + self._SPARE_PX, width + self._SPARE_PX, channels
         noise = rng.standard_normal(size, np.float32) * np.float32(self._model.noise_codes)
-        codes = np.clip(np.rint(noise), -255, 255)
-        return np.maximum(codes, 0).astype(np.uint8), np.maximum(-codes, 0).astype(np.uint8)
+        codes = np.rint(noise).astype(np.int16)
+        more, less = np.clip(codes, 0, 255), np.clip(-codes, 0, 255)
+        return more.astype(np.uint8), less.astype(np.uint8)
 
     def add_to(self, picture: NDArray[np.uint8], stamp_ns: int) -> None:
         """Add the noise at a stamp to an image (height, width, 3), in place."""
