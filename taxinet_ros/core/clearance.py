@@ -14,12 +14,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, MOST_HOLD_DISTANCE_M, OF_OTHERS
 from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.rig.catalogue import find_aircraft
@@ -115,65 +115,10 @@ class Clearance:
                 break
             turned = _seen_from(pose, x_m, y_m, cos, sin)
             for outline in outlines(one.kind, one.size):
-                own = _own_edges(self._aircraft, outline.low_m, outline.high_m)
+                own = _own_plan(self._aircraft, outline.low_m, outline.high_m)
                 if own is not None:
-                    least_m = min(least_m, _gap_m(own, _placed(outline, turned)))
+                    least_m = min(least_m, pixels.gap(*own, _placed(outline, turned)))
         return least_m
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Edges:
-    """Edges of convex polygons in plan, counter-clockwise."""
-
-    start: Vectors
-    along: Vectors
-    firsts: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, hulls: Sequence[Points]) -> _Edges:
-        start = np.concatenate([np.array(one) for one in hulls])
-        end = np.concatenate([np.roll(np.array(one), -1, axis=0) for one in hulls])
-        firsts = np.cumsum([0, *(len(one) for one in hulls[:-1])])
-        return cls(start=start, along=end - start, firsts=firsts)
-
-
-def _gap_m(one: _Edges, other: _Edges) -> float:
-    """Least distance between two sets of convex polygons; 0 where they overlap."""
-    if _contains(one, other.start) or _contains(other, one.start) or _crosses(one, other):
-        return 0.0
-    return min(_least_m(one, other.start), _least_m(other, one.start))
-
-
-def _contains(edges: _Edges, points: Vectors) -> bool:
-    """Whether a point is within a polygon."""
-    away = points[:, None] - edges.start
-    left = edges.along[:, 0] * away[..., 1] - edges.along[:, 1] * away[..., 0] >= 0
-    return bool(np.logical_and.reduceat(left, edges.firsts, axis=1).any())
-
-
-def _crosses(one: _Edges, other: _Edges) -> bool:
-    """Whether an edge of one crosses an edge of the other."""
-
-    def sides(line: _Edges, points: Vectors) -> Vectors:
-        away = points[None] - line.start[:, None]
-        return np.asarray(
-            line.along[:, None, 0] * away[..., 1] - line.along[:, None, 1] * away[..., 0]
-        )
-
-    apart = sides(one, other.start) * sides(one, other.start + other.along)
-    across = sides(other, one.start) * sides(other, one.start + one.along)
-    return bool(((apart < 0) & (across.T < 0)).any())
-
-
-def _least_m(edges: _Edges, points: Vectors) -> float:
-    """Least distance from a point to an edge [m]."""
-    away = points[:, None] - edges.start
-    length2 = edges.along[:, 0] ** 2 + edges.along[:, 1] ** 2
-    part = (away[..., 0] * edges.along[:, 0] + away[..., 1] * edges.along[:, 1]) / length2
-    part = np.clip(part, 0, 1)
-    dx = away[..., 0] - part * edges.along[:, 0]
-    dy = away[..., 1] - part * edges.along[:, 1]
-    return math.sqrt(float((dx * dx + dy * dy).min()))
 
 
 def _seen_from(pose: Pose, x_m: float, y_m: float, cos: float, sin: float) -> Pose:
@@ -183,22 +128,29 @@ def _seen_from(pose: Pose, x_m: float, y_m: float, cos: float, sin: float) -> Po
     return Pose(cos * dx + sin * dy, cos * dy - sin * dx, turn)
 
 
-def _placed(outline: Outline, pose: Pose) -> _Edges:
+def _placed(outline: Outline, pose: Pose) -> Vectors:
     cos, sin = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    placed = (
-        (pose.x_m + cos * x - sin * y, pose.y_m + sin * x + cos * y) for x, y in outline.hull
-    )
-    return _Edges.of([tuple(placed)])
+    return np.array([
+        (pose.x_m + cos * x - sin * y, pose.y_m + sin * x + cos * y, 0.0) for x, y in outline.hull
+    ])
 
 
 @lru_cache(maxsize=256)
-def _own_edges(aircraft: str, low_m: float, high_m: float) -> _Edges | None:
-    """Plan of what the aircraft has between two heights above ground; None if it has nothing."""
+def _own_plan(
+    aircraft: str, low_m: float, high_m: float
+) -> tuple[Vectors, list[int]] | None:
+    """Plan of what the aircraft has between two heights above ground; None if it has nothing.
+
+    Corners (n, 3) of convex polygons, counter-clockwise, and the first one of each.
+    """
     hulls = [
         _plan(points) for part in _own_parts(aircraft)
         if (points := _between(part, low_m, high_m))
     ]
-    return _Edges.of(hulls) if hulls else None
+    if not hulls:
+        return None
+    starts = itertools.accumulate((len(one) for one in hulls[:-1]), initial=0)
+    return np.pad(np.concatenate(hulls), ((0, 0), (0, 1))), list(starts)
 
 
 def _plan(points: Sequence[tuple[float, float]]) -> Points:

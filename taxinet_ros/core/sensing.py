@@ -14,6 +14,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, partial
+from operator import attrgetter
 from statistics import NormalDist
 from typing import Any
 
@@ -53,6 +54,7 @@ GRAVITY_MPS2 = 9.80665
 _BLOCK, _DRAWS = 64, 8
 _Floats = Sequence[float]
 _NUMBERS = tuple(field.name for field in dataclasses.fields(AircraftState))
+_values = attrgetter(*_NUMBERS)
 
 
 class Schedule:
@@ -77,11 +79,15 @@ class Schedule:
 
     def due(self, seq: int) -> Iterator[tuple[Sensor, int]]:
         """Sensor and number of each measurement that arrives at a step, in order."""
+        return (one for one in self.sent(seq) if not self.lost(*one))
+
+    def sent(self, seq: int) -> Iterator[tuple[Sensor, int]]:
+        """As :meth:`due`, with those that are lost on their way."""
         begin_ns, end_ns = (step_stamp_ns(one, self.period_ns) for one in (seq - 1, seq))
         for sensor in self.sensors.present:
             delay_ns = reached_ns(sensor.delay_s)
-            arriving = sensor.between(begin_ns - delay_ns, end_ns - delay_ns)
-            yield from ((sensor, number) for number in arriving if not self.lost(sensor, number))
+            for number in sensor.between(begin_ns - delay_ns, end_ns - delay_ns):
+                yield sensor, number
 
     def uncleared_m(self, seq: int) -> tuple[float, ...]:
         """Distances along the track of the hold lines not cleared at a step, ascending [m]."""
@@ -157,6 +163,7 @@ class Sensing:
 
     Attributes:
         fast: whether it needs states between control steps.
+        measured: what arrives at the current step.
     """
 
     def __init__(self, scenario: Scenario, period_ns: int, state: AircraftState) -> None:
@@ -175,6 +182,7 @@ class Sensing:
         self._held = NOTHING_HELD
         self.change(scenario)
         self._measure(-1, [state, state])
+        self.measured = self._arriving()
 
     def change(self, scenario: Scenario) -> None:
         """Go on in another scene, as the second camera sees it from now on."""
@@ -190,13 +198,13 @@ class Sensing:
         self._held = held
         self._measure(step_stamp_ns(self._seq, self._schedule.period_ns), states)
         self._seq += 1
+        self.measured = self._arriving()
 
-    @property
-    def measured(self) -> Measured:
-        """What arrives at the current step."""
+    def _arriving(self) -> Measured:
         found: dict[str, list[Fix | Inertial | Speed | Picture]] = {}
-        for sensor, number in self._schedule.due(self._seq):
-            found.setdefault(sensor.name, []).append(self._pending[sensor.name, number])
+        for sensor, number in self._schedule.sent(self._seq):
+            if (one := self._pending.pop((sensor.name, number), None)) is not None:
+                found.setdefault(sensor.name, []).append(one)
         values = {name: tuple(values) for name, values in found.items()}
         return Measured(**values, hold_lines_m=self._schedule.uncleared_m(self._seq))  # type: ignore[arg-type]
 
@@ -205,8 +213,6 @@ class Sensing:
         period_ns, parts = self._schedule.period_ns, len(states) - 1
         end_ns = step_stamp_ns(self._seq + 1, period_ns) if begin_ns >= 0 else 0
         step_s = period_ns / NS_PER_S / parts
-        for sensor, number in self._schedule.due(self._seq) if begin_ns >= 0 else ():
-            del self._pending[sensor.name, number]
         begin = states[0]  # in one period the meridian turns by less than a millionth of a degree
         if self._schedule.sensors.imu is not None:
             self._east_rad = math.pi / 2 - runway_frame(self._schedule.scenario.runway).to_geodetic(
@@ -298,10 +304,11 @@ def between(before: AircraftState, after: AircraftState, share: float) -> Aircra
         return after
     turned = math.remainder(after.yaw_rad - before.yaw_rad, math.tau)
     values = {
-        name: (one := getattr(before, name)) + share * (getattr(after, name) - one)
-        for name in _NUMBERS
+        name: one + share * (other - one)
+        for name, one, other in zip(_NUMBERS, _values(before), _values(after), strict=True)
     }
-    return AircraftState(**{**values, 'yaw_rad': before.yaw_rad + share * turned})
+    values['yaw_rad'] = before.yaw_rad + share * turned
+    return AircraftState(**values)
 
 
 def measured_of(schedule: Schedule, seq: int, messages: Mapping[str, Sequence[Any]]) -> Measured:

@@ -8,8 +8,10 @@ times finer than the picture and averaged.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -18,21 +20,29 @@ from numpy.typing import NDArray
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.atmosphere import Atmosphere
 from taxinet_ros.core.camera.light import GAMMA, CloudShade, Light, display_code
-from taxinet_ros.core.traffic.shapes import PAINT, UNSEEN, body, daylight_colour, face_normal
-from taxinet_ros.core.traffic.traffic import HOLD_LINE, GroundObject, Holds, Pose, Traffic
+from taxinet_ros.core.traffic.shapes import (
+    PAINT,
+    UNSEEN,
+    Part,
+    body,
+    daylight_colour,
+    face_normal,
+)
+from taxinet_ros.core.traffic.traffic import HOLD_LINE, GroundObject, Pose, Size, Traffic
 
 Vectors = NDArray[np.float64]
 Picture = NDArray[np.uint8]
+Placed = Sequence[tuple[GroundObject, Pose]]
+_Joined = tuple[Vectors, list[int]]
 
+_DOWN = np.diag((1.0, 1.0, 0.0))
+"""Casts what is above the ground straight down."""
 _NEAREST_M = 0.3
 _FARTHEST_PX = 1e7
-"""Beyond this, coordinates are limited one by one, as they are integers; polygons that near ones
-have beside the camera are cut off beside the picture before."""
-_BESIDE_PX = 4000.0
+"""Beyond this, coordinates are limited one by one, as they are integers."""
 _FARTHEST_M = 3000.0
 _SHIFT = 4
-_FINENESS = ((2500, 8), (20_000, 4))
-"""Most pixels of a part of the picture, and how many times finer its edges are drawn there."""
+"""Drawings have sixteenths of a pixel."""
 _SKY_HIDDEN = 0.4
 """Share of the sky's light that is missing right under a body."""
 _CLEAR_UNDER_M = 0.9
@@ -106,15 +116,18 @@ class ObjectsView:
             size: height and width of the picture [px].
             casts: whether the sun casts shadows.
         """
-        self._traffic, self._light, self._clouds = traffic, light, clouds
-        self._atmosphere, self._gain = atmosphere, gain
-        self._intrinsics, self._size = intrinsics, size
-        self._to_ground = np.eye(3) if casts else None
-        if self._to_ground is not None:
-            self._to_ground[:, 2] -= light.sun / light.sun[2]
-        self._meshes = {
-            id(one): _Mesh(one, light) for one in traffic.solids
-        }
+        self._light, self._clouds, self._atmosphere = light, clouds, atmosphere
+        self._focal_px = float(intrinsics[0, 0])
+        self._pinhole = pixels.Pinhole(intrinsics, size, _NEAREST_M, _FARTHEST_PX)
+        self._cast = np.eye(3) if casts else None
+        if self._cast is not None:
+            self._cast[:, 2] -= light.sun / light.sun[2]
+        self._solids = {id(one): _Solid(one, light) for one in traffic.solids}
+        self._buffer = np.empty(0, np.uint8)
+        self._marks = [
+            (mark.pose_at(0), _joined(flat), np.array(daylight_colour(mark.colour)) * gain, opacity)
+            for mark in traffic.marks for flat, opacity in _flat(mark)
+        ]
 
     def paint_marks(
         self, ground: Picture, to_optical: Vectors, camera: Vectors
@@ -126,24 +139,15 @@ class ObjectsView:
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
             camera: the camera's place in ``map`` (3,).
         """
-        for mark in self._traffic.marks:
-            pose = mark.pose_at(0)
-            paint = np.array(daylight_colour(mark.colour)) * self._gain
-            for polygons, opacity in _MARKS[mark.kind]:
-                scale = mark.size.length_m, mark.size.width_m
-                flat = [
-                    np.column_stack([np.array(one) * scale, np.zeros(len(one))]) for one in polygons
-                ]
-                found = self._coverage([
-                    _to_optical(_placed(part, pose), to_optical, camera) for part in flat
-                ])
-                if found is not None:
-                    rows, columns, mask = found
-                    _blend(ground[rows, columns], mask, paint, opacity)
+        for pose, parts, paint, opacity in self._marks:
+            found = self._mask(parts, pose, _DOWN, to_optical, camera)
+            if found is not None:
+                rows, columns, mask = found
+                pixels.blend_masked(ground[rows, columns], mask, paint, opacity)
 
     def shade(
-        self, ground: Picture, to_optical: Vectors, camera: Vectors, stamp_ns: int,
-        shaded: NDArray[np.uint8], held: Holds,
+        self, ground: Picture, to_optical: Vectors, camera: Vectors, solids: Placed,
+        shaded: NDArray[np.uint8],
     ) -> None:
         """Darken the ground in the solids' shadows, in place.
 
@@ -151,149 +155,157 @@ class ObjectsView:
             ground: as for :meth:`paint_marks`.
             to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
             camera: the camera's place in ``map`` (3,).
-            stamp_ns: simulated time [ns].
+            solids: the solids, and where they are.
             shaded: (height, width) where another shadow is already, 255 for full; no ground is
                 darkened twice. Shadows are added.
-            held: those that the aircraft has held.
         """
-        for one, pose in self._traffic.solids_at(stamp_ns, held):
-            parts = [_placed(part, pose) for part in self._meshes[id(one)].parts]
+        for one, pose in solids:
+            solid = self._solids[id(one)]
             away_m = max(math.hypot(pose.x_m - camera[0], pose.y_m - camera[1]), _NEAREST_M)
-            low = [_flattened(part) for part in parts if part[:, 2].min() < _CLEAR_UNDER_M]
-            focal_px = self._intrinsics[0, 0]
-            found = self._coverage(
-                [_to_optical(part, to_optical, camera) for part in low],
-                blur_px=0.3 * focal_px / away_m,
+            found = self._mask(
+                solid.low, pose, _DOWN, to_optical, camera, 0.3 * self._focal_px / away_m
             )
             if found is not None:
                 rows, columns, mask = found
                 pixels.tint_masked(ground[rows, columns], mask, (_SKY_HIDDEN,) * 3)
-            if self._to_ground is None:
+            if self._cast is None:
                 continue
-            fall = [_to_optical(part @ self._to_ground.T, to_optical, camera) for part in parts]
-            throw_px = focal_px * one.size.height_m * self._light.sun_width_rad / away_m
-            found = self._coverage(fall, blur_px=0.5 * throw_px)
+            throw_px = self._focal_px * one.size.height_m * self._light.sun_width_rad / away_m
+            found = self._mask(solid.parts, pose, self._cast, to_optical, camera, 0.5 * throw_px)
             if found is not None:
                 rows, columns, mask = found
                 before = shaded[rows, columns]
-                more = cv2.subtract(mask, before)
+                more = np.asarray(cv2.subtract(mask, before), np.uint8)
                 np.maximum(before, mask, out=before)
                 depth = self._clouds.shadow_depth(pose.x_m, pose.y_m)
-                pixels.tint_masked(ground[rows, columns], np.ascontiguousarray(more), depth)
+                pixels.tint_masked(ground[rows, columns], more, depth)
 
     def draw_solids(
-        self, picture: Picture, to_optical: Vectors, camera: Vectors, stamp_ns: int, held: Holds
+        self, picture: Picture, to_optical: Vectors, camera: Vectors, solids: Placed
     ) -> None:
         """Draw the solids over a picture of ground and sky (height, width, 3), in place."""
-        placed = self._traffic.solids_at(stamp_ns, held)
-        away = [math.hypot(pose.x_m - camera[0], pose.y_m - camera[1]) for _, pose in placed]
-        for number in sorted(range(len(placed)), key=lambda k: (-away[k], k)):
+        away = [math.hypot(pose.x_m - camera[0], pose.y_m - camera[1]) for _, pose in solids]
+        for number in sorted(range(len(solids)), key=lambda k: (-away[k], k)):
             if away[number] < _FARTHEST_M:
-                self._draw(picture, *placed[number], away[number], to_optical, camera)
+                self._draw(picture, *solids[number], away[number], to_optical, camera)
 
     def _draw(
         self, picture: Picture, one: GroundObject, pose: Pose, away_m: float,
         to_optical: Vectors, camera: Vectors,
     ) -> None:
-        mesh = self._meshes[id(one)]
-        turn = _turn(pose)
-        corners = mesh.corners @ turn.T + (pose.x_m, pose.y_m, 0.0)
-        optical = (corners - camera) @ to_optical.T
-        if optical[:, 2].max() <= _NEAREST_M:
+        solid = self._solids[id(one)]
+        found = self._pinhole.faces(*solid.faces, pose, to_optical, camera)
+        if found is None:
             return
-        place = np.array([pose.x_m, pose.y_m, 0.0])
-        normals = mesh.normals @ turn.T
-        seen = (normals * (camera - place - mesh.middles @ turn.T)).sum(axis=1) > 0
-        # Group after group from far to near, and in each its parts in their order.
-        away = np.hypot(*(mesh.group_middles @ turn.T + place - camera)[:, :2].T)
-        order = np.lexsort((np.arange(len(seen)), -away[mesh.group_of]))
-        order = order[seen[order]]
-        share = self._clouds.sun_share(pose.x_m, pose.y_m)
-        codes = _face_codes(self._light, mesh.albedos[order], normals[order], share)
+        (rows, columns, fine, polygons), numbers = found
+        sun_share = self._clouds.sun_share(pose.x_m, pose.y_m)
         kept, added = self._atmosphere.veil_at(away_m)
-        faces = [mesh.faces[k] for k in order.tolist()]
-        if optical[:, 2].min() < _NEAREST_M:
-            optical, faces = _before_camera(optical, faces)
-        if faces:
-            image = optical @ self._intrinsics.T
-            points = np.clip(image[:, :2] / image[:, 2:], -_FARTHEST_PX, _FARTHEST_PX)
-            if np.abs(points).max() > _BESIDE_PX:
-                polygons = [beside_picture(points[face], self._size) for face in faces]
-                ends = np.cumsum([len(one) for one in polygons]).tolist()
-                faces = [
-                    np.arange(end - len(one), end)
-                    for one, end in zip(polygons, ends, strict=True)
-                ]
-                points = np.concatenate(polygons)
-            if len(points):
-                _draw_faces(picture, points, faces, codes * kept + added, self._size)
+        codes = np.rint(solid.codes(pose.heading_rad, sun_share)[numbers] * kept + added)
+        behind = picture[rows, columns]
+        canvas = self._canvas(behind.shape[:2], fine, 4)
+        for polygon, code in zip(polygons, codes.tolist(), strict=True):
+            cv2.fillConvexPoly(canvas, polygon, (*code, 1), shift=_SHIFT)
+        pixels.average(canvas, behind)
 
-    def _coverage(
-        self, parts: Sequence[Vectors], blur_px: float = 0.0
+    def _mask(
+        self, parts: _Joined, pose: Pose, cast: Vectors, to_optical: Vectors, camera: Vectors,
+        blur_px: float = 0.0,
     ) -> tuple[slice, slice, NDArray[np.uint8]] | None:
-        """How much of each pixel convex parts cover, 0..255; None if they are not in view.
+        """How much of each pixel parts cover where they are cast, 0..255; None if not in view.
 
         Args:
-            parts: corners (n, 3) in the optical frame.
+            parts: convex, in a frame that is at a pose.
+            pose: in ``map``.
+            cast: casts points in ``map`` on the ground (3, 3).
+            to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
+            camera: the camera's place in ``map`` (3,).
             blur_px: width of the soft edge.
         """
-        if not parts:
-            return None
-        starts = np.cumsum([0, *(len(part) for part in parts[:-1])]).tolist()
-        found = pixels.outlines(
-            np.concatenate(parts), starts, self._intrinsics, self._size, _NEAREST_M, _FARTHEST_PX
-        )
-        polygons = [
-            beside_picture(
-                np.asarray(cv2.convexHull(part)[:, 0], np.float64) / (1 << _SHIFT), self._size
-            )
-            for part in found
-        ]
-        polygons = [one for one in polygons if len(one)]
         margin = min(1 + 2 * math.ceil(0.5 * blur_px), 31)
-        area = _area(polygons, self._size, margin + 1)
-        if area is None:
+        found = self._pinhole.cover(*parts, pose, cast, to_optical, camera, margin + 1)
+        if found is None:
             return None
-        rows, columns = area
-        fine = _fineness(rows, columns)
-        height, width = rows.stop - rows.start, columns.stop - columns.start
-        mask = np.zeros((height * fine, width * fine), np.uint8)
+        rows, columns, fine, polygons = found
+        mask = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
+        canvas = self._canvas(mask.shape, fine, 1)
         for polygon in polygons:
-            cv2.fillConvexPoly(mask, _fine_points(polygon, area, fine), (255,), shift=_SHIFT)
-        small = cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA)
+            cv2.fillConvexPoly(canvas, polygon, (255,), shift=_SHIFT)
+        pixels.average(canvas, mask)
         if margin > 1:
-            small = cv2.blur(small, (margin, margin))
-        return rows, columns, np.asarray(small, np.uint8)
+            mask = np.asarray(cv2.blur(mask, (margin, margin)), np.uint8)
+        return rows, columns, mask
+
+    def _canvas(self, size: tuple[int, ...], fine: int, codes: int) -> Picture:
+        """An empty canvas, as many times finer than a size and with so many codes a pixel."""
+        shape = size[0] * fine, size[1] * fine, *([codes] if codes > 1 else [])
+        count = math.prod(shape)
+        if count > len(self._buffer):
+            self._buffer = np.empty(count, np.uint8)
+        canvas = self._buffer[:count].reshape(shape)
+        canvas.fill(0)
+        return canvas
 
 
-class _Mesh:
-    """Faces of a solid in its own frame, with their albedos."""
+def _flat(mark: GroundObject) -> Iterator[tuple[list[Vectors], float]]:
+    """Corners (n, 3) of the polygons of a mark that are painted at once, and their opacity."""
+    for polygons, opacity in _MARKS[mark.kind]:
+        yield [np.pad(np.array(one) * mark.size[:2], ((0, 0), (0, 1))) for one in polygons], opacity
+
+
+def _joined(parts: Sequence[Vectors]) -> _Joined:
+    """Corners (n, 3) of all parts, and the first one of each."""
+    return np.concatenate(parts), np.cumsum([0, *(len(one) for one in parts[:-1])]).tolist()
+
+
+@lru_cache(maxsize=64)
+def _parts(kind: str, size: Size) -> list[Part]:
+    return [part for part in body(kind, size) if part.colour != UNSEEN]
+
+
+@lru_cache(maxsize=64)
+def _faces(kind: str, size: Size) -> tuple[Vectors, list[int], Vectors]:
+    """All faces, and of each its middle, its normal and the middle of its group (3 faces, 3).
+
+    A group is a part with its details.
+    """
+    parts, about, group = _parts(kind, size), [], []
+    for part, following in itertools.zip_longest(parts, parts[1:]):
+        group.append(part)
+        if following is None or not following.detail:
+            middle = np.concatenate([one.corners for one in group]).mean(axis=0)
+            for corners in (one.corners[list(face)] for one in group for face in one.faces):
+                about += [corners.mean(axis=0), face_normal(corners), middle]
+            group = []
+    faces = [part.corners[list(face)] for part in parts for face in part.faces]
+    return *_joined(faces), np.array(about)
+
+
+class _Solid:
+    """A solid in one scenario's light."""
 
     def __init__(self, one: GroundObject, light: Light) -> None:
-        parts = [part for part in body(one.kind, one.size) if part.colour != UNSEEN]
-        self.parts = [part.corners for part in parts]
-        self.corners = np.concatenate(self.parts)
-        starts = np.cumsum([0, *(len(part.corners) for part in parts[:-1])]).tolist()
-        self.faces = [
-            np.array([start + k for k in face])
-            for start, part in zip(starts, parts, strict=True) for face in part.faces
-        ]
-        groups = np.cumsum([not part.detail for part in parts]) - 1
-        self.group_of = np.repeat(groups, [len(part.faces) for part in parts])
-        self.group_middles = np.array([
-            np.concatenate([
-                part.corners for part, group in zip(parts, groups, strict=True) if group == number
-            ]).mean(axis=0)
-            for number in range(groups[-1] + 1)
-        ])
-        self.middles = np.array([self.corners[face].mean(axis=0) for face in self.faces])
-        self.normals = np.array([face_normal(self.corners[face]) for face in self.faces])
-        wet = 1 - 0.15 * light.wetness
+        parts = _parts(one.kind, one.size)
+        corners = [part.corners for part in parts]
+        self.parts = _joined(corners)
+        self.low = _joined([part for part in corners if part[:, 2].min() < _CLEAR_UNDER_M])
+        self.faces = _faces(one.kind, one.size)
+        self._light, self._normals = light, self.faces[2][1::3]
         colours = [
             daylight_colour(one.colour if part.colour == PAINT else part.colour)
             for part in parts for _ in part.faces
         ]
-        self.albedos = wet * (np.array(colours) / 255) ** GAMMA
+        wet = 1 - 0.15 * light.wetness
+        self._albedos = wet * (np.array(colours) / 255) ** GAMMA
+        self._lit: tuple[float, float, Vectors] | None = None
+
+    def codes(self, heading_rad: float, sun_share: float) -> Vectors:
+        """Display codes (n, 3) of all faces; most solids stand, or go straight on in the sun."""
+        if self._lit is None or self._lit[:2] != (heading_rad, sun_share):
+            cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+            turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            codes = _face_codes(self._light, self._albedos, self._normals @ turn.T, sun_share)
+            self._lit = heading_rad, sun_share, codes
+        return self._lit[2]
 
 
 def _face_codes(light: Light, albedos: Vectors, normals: Vectors, sun_share: float) -> Vectors:
@@ -306,128 +318,3 @@ def _face_codes(light: Light, albedos: Vectors, normals: Vectors, sun_share: flo
     shine = beam[:, None] * light.direct + sky[:, None] * light.diffuse
     shine = shine + (_BOUNCE * (1 - sky))[:, None] * light.total
     return display_code(albedos * shine)
-
-
-def _draw_faces(
-    picture: Picture, points: Vectors, faces: Sequence[NDArray[np.intp]], codes: Vectors,
-    size: tuple[int, int],
-) -> None:
-    """Fill polygons of pixels one over the other.
-
-    Args:
-        picture: (height, width, 3), changed in place.
-        points: (n, 2) pixels.
-        faces: indices of the points of each polygon.
-        codes: display codes of each (faces, 3).
-        size: height and width of the picture [px].
-    """
-    area = _area([points[np.concatenate(faces)]], size, 1)
-    if area is None:
-        return
-    rows, columns = area
-    fine = _fineness(rows, columns)
-    height, width = rows.stop - rows.start, columns.stop - columns.start
-    behind = picture[rows, columns]
-    canvas = cv2.resize(
-        behind, (width * fine, height * fine), interpolation=cv2.INTER_NEAREST
-    )
-    corners = _fine_points(points, area, fine)
-    for face, code in zip(faces, np.rint(codes).tolist(), strict=True):
-        if len(face):
-            cv2.fillConvexPoly(canvas, corners[face], code, shift=_SHIFT)
-    behind[:] = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
-
-
-def beside_picture(polygon: Vectors, size: tuple[int, int]) -> Vectors:
-    """Cut a convex polygon of pixels (n, 2) off far beside a picture (Sutherland and Hodgman)."""
-    if not len(polygon) or np.abs(polygon).max() <= _BESIDE_PX:
-        return polygon
-    height, width = size
-    for axis, sign, most in (
-        (0, 1, width + _BESIDE_PX), (0, -1, _BESIDE_PX), (1, 1, height + _BESIDE_PX),
-        (1, -1, _BESIDE_PX),
-    ):
-        kept = []
-        for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-            over, next_over = sign * here[axis] - most, sign * there[axis] - most
-            if over <= 0:
-                kept.append(here)
-            if (over <= 0) != (next_over <= 0):
-                kept.append(here + over / (over - next_over) * (there - here))
-        polygon = np.array(kept).reshape(-1, 2)
-    return polygon
-
-
-def _area(
-    polygons: Sequence[NDArray[np.float64]], size: tuple[int, int], margin: int
-) -> tuple[slice, slice] | None:
-    """Rows and columns of the picture that polygons may touch; None if there are none."""
-    points = np.concatenate(polygons) if polygons else np.empty((0, 2))
-    if not len(points):
-        return None
-    (left, top), (right, bottom) = points.min(axis=0), points.max(axis=0)
-    rows = slice(max(math.floor(top) - margin, 0), min(math.ceil(bottom) + margin + 1, size[0]))
-    columns = slice(max(math.floor(left) - margin, 0), min(math.ceil(right) + margin + 1, size[1]))
-    if rows.start >= rows.stop or columns.start >= columns.stop:
-        return None
-    return rows, columns
-
-
-def _fineness(rows: slice, columns: slice) -> int:
-    count = (rows.stop - rows.start) * (columns.stop - columns.start)
-    return next((fine for most, fine in _FINENESS if count <= most), 2)
-
-
-def _fine_points(
-    polygon: NDArray[np.float64], area: tuple[slice, slice], fine: int
-) -> NDArray[np.int32]:
-    """Corners on a finer canvas, in sixteenths; pixel centres are whole numbers on both."""
-    start = np.array([area[1].start, area[0].start])
-    points = ((polygon - start + 0.5) * fine - 0.5) * (1 << _SHIFT)
-    return np.asarray(np.rint(points), np.int32)
-
-
-def _blend(ground: Picture, mask: NDArray[np.uint8], paint: Vectors, opacity: float) -> None:
-    share = (opacity / 255) * mask[:, :, None].astype(np.float32)
-    mixed = ground + share * (paint.astype(np.float32) - ground)
-    ground[:] = np.rint(mixed).astype(np.uint8)
-
-
-def _turn(pose: Pose) -> Vectors:
-    cos, sin = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _placed(points: Vectors, pose: Pose) -> Vectors:
-    """Points (n, 3) of an object's frame in ``map``."""
-    return points @ _turn(pose).T + (pose.x_m, pose.y_m, 0.0)
-
-
-def _to_optical(points: Vectors, to_optical: Vectors, camera: Vectors) -> Vectors:
-    return np.ascontiguousarray((points - camera) @ to_optical.T)
-
-
-def _flattened(points: Vectors) -> Vectors:
-    return points * (1.0, 1.0, 0.0)
-
-
-def _before_camera(
-    optical: Vectors, faces: Sequence[NDArray[np.intp]]
-) -> tuple[Vectors, list[NDArray[np.intp]]]:
-    """Corners (n, 3) and faces, cut off at the nearest depth (Sutherland and Hodgman).
-
-    Faces keep their number; one that is wholly behind the camera has no corner.
-    """
-    corners: list[Vectors] = []
-    found: list[NDArray[np.intp]] = []
-    for face in faces:
-        polygon, first = optical[face], len(corners)
-        for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-            inside = here[2] >= _NEAREST_M
-            if inside:
-                corners.append(here)
-            if inside != (there[2] >= _NEAREST_M):
-                share = (_NEAREST_M - here[2]) / (there[2] - here[2])
-                corners.append(here + share * (there - here))
-        found.append(np.arange(first, len(corners)))
-    return np.array(corners).reshape(-1, 3), found if corners else []

@@ -15,6 +15,7 @@ _Floats = NDArray[np.float32]
 _Doubles = NDArray[np.float64]
 _Three = tuple[float, float, float]
 _Four = tuple[float, float, float, float]
+_Drawing = tuple[slice, slice, int, list[NDArray[np.int32]]]
 
 class Sight:
     """Ground projection of one pose: the parameters that determine every pixel's texels.
@@ -304,31 +305,79 @@ class Shadow:
             camera: place of the camera in ``map``, (3,) [m].
 
         Returns:
-            Rows and columns of the image that they may touch, and for each part what
-            :func:`outlines` gives; None if they are not in view.
+            Rows and columns of the image that they may touch, and for each part points (n, 2) in
+            sixteenths of a pixel, whose convex hull is its outline; None if they are not in view.
         """
 
-def outlines(
-    corners: _Doubles,
-    starts: Sequence[int],
-    intrinsics: _Doubles,
-    size: tuple[int, int],
-    nearest_m: float,
-    farthest_px: float,
-) -> list[NDArray[np.int32]]:
-    """Project the convex parts of a body into the image.
+class Pinhole:
+    """A camera that sees what stands or lies on the ground.
+
+    What is to be drawn is given by the rows and columns of the image that it may touch, how many
+    times finer it is drawn there, and convex polygons (n, 2) in sixteenths of a finer pixel.
+    """
+
+    def __init__(
+        self, intrinsics: _Doubles, size: tuple[int, int], nearest_m: float, farthest_px: float
+    ) -> None:
+        """Set the camera.
+
+        Args:
+            intrinsics: camera matrix, (3, 3), without skew.
+            size: image height and width [px].
+            nearest_m: minimum depth; parts are clipped there.
+            farthest_px: limit to which pixel coordinates are clamped.
+        """
+
+    def cover(
+        self,
+        corners: _Doubles,
+        starts: Sequence[int],
+        pose: Sequence[float],
+        cast: _Doubles,
+        to_optical: _Doubles,
+        camera: Sequence[float] | _Doubles,
+        margin_px: int,
+    ) -> _Drawing | None:
+        """Outlines of convex parts, as they are cast on the ground; None if not in view.
+
+        Args:
+            corners: corners of all parts, (N, 3), in a frame of their own [m].
+            starts: index of the first corner of each part, in order.
+            pose: x and y [m] and heading [rad] of that frame in ``map``.
+            cast: takes points in ``map`` to the ground, (3, 3).
+            to_optical: rotation from ``map`` to the camera's optical frame, (3, 3).
+            camera: place of the camera in ``map``, (3,) [m].
+            margin_px: pixels around the outlines that belong to the drawing.
+        """
+
+    def faces(
+        self,
+        corners: _Doubles,
+        starts: Sequence[int],
+        about: _Doubles,
+        pose: Sequence[float],
+        to_optical: _Doubles,
+        camera: Sequence[float] | _Doubles,
+    ) -> tuple[_Drawing, list[int]] | None:
+        """Flat faces that look at the camera, from far to near, and the number of each.
+
+        Args:
+            corners: as of :meth:`cover`, of all faces.
+            starts: index of the first corner of each face, in order.
+            about: of each face its middle, its normal, and the point whose distance counts,
+                (3 faces, 3); of those with the same distance, the first is the farthest.
+            pose: as of :meth:`cover`.
+            to_optical: as of :meth:`cover`.
+            camera: as of :meth:`cover`.
+        """
+
+def gap(corners: _Doubles, starts: Sequence[int], polygon: _Doubles) -> float:
+    """Least distance in plan of a convex polygon to others [m]; 0 where it overlaps one.
 
     Args:
-        corners: corners of all parts, (N, 3), in the camera's optical frame [m].
-        starts: index of the first corner of each part, in order.
-        intrinsics: camera matrix, (3, 3), without skew.
-        size: image height and width [px].
-        nearest_m: minimum depth; parts are clipped there.
-        farthest_px: limit to which pixel coordinates are clamped.
-
-    Returns:
-        For each part that may touch the image, points (n, 2) in sixteenths of a pixel, whose convex
-        hull is its outline.
+        corners: corners of the others, (N, 3), counter-clockwise [m]; their height does not count.
+        starts: index of the first corner of each, in order.
+        polygon: corners of the polygon, (n, 3), as theirs.
     """
 
 def tint_rows(picture: _Bytes, shares: _Doubles) -> None:
@@ -341,6 +390,30 @@ def tint_masked(picture: _Bytes, mask: _Bytes, depth: Sequence[float] | _Doubles
         picture: the part; its rows may be non-contiguous.
         mask: 255 for full darkening.
         depth: full darkening per channel, 0..1.
+    """
+
+def average(canvas: _Bytes, picture: _Bytes) -> None:
+    """Reduce a canvas, 2, 4 or 8 times as high and as wide, to a part of an image, in place.
+
+    As OpenCV's ``INTER_AREA``, to the bit.
+
+    Args:
+        canvas: of a mask its codes; else (rows, columns, 4): a colour, and 1 where it is drawn, or
+            four zeros, through which the picture is seen.
+        picture: the mask (rows, columns), or the part (rows, columns, 3), whose rows may be
+            non-contiguous.
+    """
+
+def blend_masked(
+    picture: _Bytes, mask: _Bytes, paint: Sequence[float] | _Doubles, opacity: float
+) -> None:
+    """Paint a part of an image, in place, where a mask (rows, columns) is not 0.
+
+    Args:
+        picture: the part; its rows may be non-contiguous.
+        mask: 255 for the full opacity.
+        paint: code of each channel, 0..255.
+        opacity: share of the paint, 0..1.
     """
 
 def develop(

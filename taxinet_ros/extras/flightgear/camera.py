@@ -137,12 +137,13 @@ class FlightGearCamera:
             raise failed(
                 InfraKind.SIM, f'its window has been resized to {taken.shape[1]} x {taken.shape[0]}'
             )
-        picture = cv2.remap(taken, self.lens.columns, self.lens.rows, cv2.INTER_LINEAR)
+        seen = cv2.remap(taken, self.lens.columns, self.lens.rows, cv2.INTER_LINEAR)
         if self._model.exposure_ev:
-            picture = cv2.LUT(picture, self._exposed)
+            seen = cv2.LUT(seen, self._exposed)
+        picture: NDArray[np.uint8] = np.asarray(seen, np.uint8)
         if self._model.noise_codes:
-            picture = cv2.add(picture, self._noise.at(stamp_ns), dtype=cv2.CV_8U)
-        return np.asarray(picture, np.uint8)
+            self._noise.add_to(picture, stamp_ns)
+        return picture
 
     @property
     def sun_elevation_deg(self) -> float:

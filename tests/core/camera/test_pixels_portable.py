@@ -19,9 +19,14 @@ from taxinet_ros.core.perception.eye import find_eye
 from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.traffic.traffic_file import load_traffic
 
 pytestmark = pytest.mark.nightly
 
+OTHERS = load_traffic([
+    {'kind': 'vehicle', 'x_m': 353, 'y_m': 6, 'heading_deg': 30},
+    {'kind': 'patch', 'x_m': 345, 'y_m': 2}, {'kind': 'cone', 'x_m': 1410, 'y_m': -9},
+])
 NATIVE = Path(pixels.__file__).parent / 'native'
 TESTS = Path(__file__).parent
 INSTEAD = """
@@ -46,6 +51,7 @@ def digest() -> str:
         rain = 0.6 if clouds == 'stratus' else 0.0
         camera = Camera(Scenario(
             time_of_day_s=3600.0 * (7 + 2 * number), clouds=clouds, rain_fraction=rain,
+            traffic=OTHERS,
         ))
         for x, y, heading, pitch in ((333.3, 2.0, 9.0, 0.1), (1400.0, -5.0, -20.0, -4.0)):
             picture = camera.render(at(x, y, heading, pitch), number)

@@ -63,6 +63,63 @@ FOR_EACH_PROCESSOR void shine_row(std::uint8_t *__restrict codes, float strength
     }
 }
 
+FOR_EACH_PROCESSOR void blend_row(std::uint8_t *__restrict codes,
+                                  const std::uint8_t *__restrict mask, float share,
+                                  const float *__restrict paint, int width) {
+    for (int u = 0; u < width; ++u) {
+        for (int c = 0; c < kChannels; ++c) {
+            const auto code = static_cast<float>(codes[kChannels * u + c]);
+            codes[kChannels * u + c] = code_of(code + share * mask[u] * (paint[c] - code));
+        }
+    }
+}
+
+// Adds a row of codes to sums.
+FOR_EACH_PROCESSOR void add_row(const std::uint8_t *__restrict codes, int count,
+                                std::uint16_t *__restrict sums) {
+    for (int i = 0; i < count; ++i) {
+        sums[i] = static_cast<std::uint16_t>(sums[i] + codes[i]);
+    }
+}
+
+// Means of squares of pixels whose columns are summed up already. A sum is one of 16 bits, or has
+// four of them: three codes, and how many pixels are drawn; for the others there is the background.
+template <typename Sum, int kFiner>
+FOR_EACH_PROCESSOR void average_row(const std::uint16_t *sums, int width, std::uint8_t *codes) {
+    constexpr int kSums = sizeof(Sum) / sizeof(*sums), kCodes = kSums == 1 ? 1 : kChannels;
+    constexpr int kCount = kFiner * kFiner;
+    for (int u = 0; u < width; ++u) {
+        Sum all = 0;
+        for (int k = 0; k < kFiner; ++k) {
+            Sum one;
+            std::memcpy(&one, sums + (u * kFiner + k) * kSums, sizeof(one));
+            all = static_cast<Sum>(all + one);
+        }
+        for (int c = 0; c < kCodes; ++c) {
+            std::uint8_t &code = codes[u * kCodes + c];
+            int sum = all >> (16 * c) & 0xFFFF;
+            if (kSums > 1) {
+                sum += (kCount - static_cast<int>(all >> 16 * kCodes)) * code;
+            }
+            // Half to even, but up from two by two pixels, as OpenCV does.
+            const int odd = kFiner == 2 ? 1 : sum / kCount & 1;
+            code = static_cast<std::uint8_t>((sum + kCount / 2 - 1 + odd) / kCount);
+        }
+    }
+}
+
+template <typename Sum>
+auto averaging(int finer) {
+    require(finer == 2 || finer == 4 || finer == 8, "a canvas is 2, 4 or 8 times finer");
+    return finer == 8 ? average_row<Sum, 8> : finer == 4 ? average_row<Sum, 4> : average_row<Sum, 2>;
+}
+
+void require_mask(const Picture &mask, const Rows &rows) {
+    require(mask.ndim() == 2 && mask.shape(0) == rows.count && mask.shape(1) == rows.width &&
+                mask.strides(1) == 1,
+            "a mask is as large as its part of the picture, its codes side by side");
+}
+
 #if defined(WITH_VECTORS)
 
 // Processes a whole register of codes at a time: looks up both halves of the table and selects by
@@ -112,9 +169,7 @@ void tint_rows(Picture picture, const Doubles &shares) {
 
 void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3> &depth) {
     const Rows rows(picture);
-    require(mask.ndim() == 2 && mask.shape(0) == rows.count && mask.shape(1) == rows.width &&
-                mask.strides(1) == 1,
-            "a mask is as large as its part of the picture, its codes side by side");
+    require_mask(mask, rows);
     constexpr int kEight = 8;  // pixels whose codes are compared at once
     // One extra byte, because four are written at once.
     std::array<std::array<std::uint8_t, kChannels + 1>, 256> left{};
@@ -152,6 +207,37 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
         }
         keep_shares(rows.at(v) + kChannels * first, share.data() + kChannels * first,
                     kChannels * (end - first));
+    }
+}
+
+void average(const Bytes &canvas, Picture picture) {
+    const bool mask = picture.ndim() == 2;
+    require(canvas.ndim() == picture.ndim() && (mask || canvas.shape(2) == kChannels + 1) &&
+                picture.size() > 0 && picture.strides(1) == (mask ? 1 : picture.shape(2)) &&
+                (mask || picture.shape(2) == kChannels),
+            "a mask and its canvas have one code a pixel, a picture three and its canvas four");
+    const auto rows = static_cast<int>(picture.shape(0)), width = static_cast<int>(picture.shape(1));
+    const auto finer = static_cast<int>(canvas.shape(0)) / rows;
+    require(canvas.shape(0) == rows * finer && canvas.shape(1) == width * finer,
+            "a canvas is as many times as high as its picture as it is wide");
+    const auto average_one = mask ? averaging<std::uint16_t>(finer) : averaging<std::uint64_t>(finer);
+    std::vector<std::uint16_t> sums(canvas.size() / canvas.shape(0));
+    for (int v = 0; v < rows; ++v) {
+        std::fill(sums.begin(), sums.end(), 0);
+        for (int k = 0; k < finer; ++k) {
+            add_row(canvas.data(v * finer + k), static_cast<int>(sums.size()), sums.data());
+        }
+        average_one(sums.data(), width, picture.mutable_data(v));
+    }
+}
+
+void blend_masked(Picture picture, const Picture &mask, const std::array<float, 3> &paint,
+                  double opacity) {
+    const Rows rows(picture);
+    require_mask(mask, rows);
+    const auto share = static_cast<float>(opacity / 255);
+    for (int v = 0; v < rows.count; ++v) {
+        blend_row(rows.at(v), mask.data(v), share, paint.data(), rows.width);
     }
 }
 

@@ -15,6 +15,14 @@ void tint_rows(Picture picture, const Doubles &shares);
 // Darkens each pixel by its mask code; 255 is the full depth (0 to 1) per channel.
 void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3> &depth);
 
+// Averages a canvas that is some times finer than a mask (rows, columns), or than a picture: then it
+// has four codes a pixel, the last of which is 1 where something is drawn, and all are 0 elsewhere.
+void average(const Bytes &canvas, Picture picture);
+
+// Paints each pixel by its mask code; 255 is the full opacity (0 to 1).
+void blend_masked(Picture picture, const Picture &mask, const std::array<float, 3> &paint,
+                  double opacity);
+
 // Applies the curve to every code; then multiplies the upper rows by a share (n,) and adds colours
 // (n, 3).
 void develop(Picture ground, const Bytes &curve, const Doubles &kept, const Doubles &added,

@@ -8,6 +8,7 @@
 #include "light.hpp"
 #include "network.hpp"
 #include "outline.hpp"
+#include "plan.hpp"
 #include "reduction.hpp"
 #include "shadow.hpp"
 #include "skyline.hpp"
@@ -139,16 +140,18 @@ PYBIND11_MODULE(pixels, module) {
         .def(py::init<const Doubles &, std::vector<int>, const Point &, const Doubles &,
                       const std::array<int, 2> &, double, double, int>())
         .def("outlines", &Shadow::outlines);
-    module.def("outlines", [](const Doubles &corners, const std::vector<int> &starts,
-                              const Doubles &intrinsics, const std::array<int, 2> &size,
-                              double nearest_m, double farthest_px) {
-        return Pinhole(intrinsics, size, nearest_m, farthest_px)
-            .outlines(points_of(corners, starts), starts);
-    });
+    py::class_<Pinhole>(module, "Pinhole")
+        .def(py::init<const Doubles &, const std::array<int, 2> &, double, double>())
+        .def("cover", &Pinhole::cover)
+        .def("faces", &Pinhole::faces);
+    module.def("gap", &gap);
     // noconvert: output arrays must not be converted copies, and large inputs must not be copied.
     module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));
     module.def("tint_masked", &tint_masked, py::arg("picture").noconvert(),
                py::arg("mask").noconvert(), py::arg("depth"));
+    module.def("average", &average, py::arg("canvas").noconvert(), py::arg("picture").noconvert());
+    module.def("blend_masked", &blend_masked, py::arg("picture").noconvert(),
+               py::arg("mask").noconvert(), py::arg("paint"), py::arg("opacity"));
     module.def("develop", &develop, py::arg("ground").noconvert(), py::arg("curve"),
                py::arg("kept"), py::arg("added"), py::arg("picture").noconvert());
     module.def("lay_over", &lay_over, py::arg("picture").noconvert(), py::arg("kept"),

@@ -8,6 +8,7 @@
 #include "module.cpp"
 #include "network.cpp"
 #include "outline.cpp"
+#include "plan.cpp"
 #include "product.cpp"
 #include "reduction.cpp"
 #include "shadow.cpp"

@@ -30,18 +30,6 @@ Point product(const Matrix &a, const Point &b) {
     return found;
 }
 
-FOR_EACH_PROCESSOR void place_points(const Matrix &turn, const Point &shift, const Point *points,
-                                     int count, Point *placed) {
-    for (int i = 0; i < count; ++i) {
-        for (int j = 0; j < 3; ++j) {
-            const double sum = __builtin_fma(
-                points[i][2], turn[j][2],
-                __builtin_fma(points[i][1], turn[j][1], points[i][0] * turn[j][0]));
-            placed[i][j] = sum + shift[j];
-        }
-    }
-}
-
 // Rows or columns within `edge_px` of outlines, of `count` in all.
 std::array<int, 2> touched(const std::vector<Corners> &outlines, int axis, int edge_px, int count) {
     int first = std::numeric_limits<int>::max(), last = std::numeric_limits<int>::min();
@@ -53,10 +41,6 @@ std::array<int, 2> touched(const std::vector<Corners> &outlines, int axis, int e
     }
     return {std::max((first >> kFractionBits) - edge_px, 0),
             std::min((last >> kFractionBits) + 1 + edge_px, count)};
-}
-
-py::slice slice(int first, int end) {
-    return py::slice(py::int_(first), py::int_(end), py::none());
 }
 
 }  // namespace
@@ -77,10 +61,8 @@ std::optional<Shadow::Seen> Shadow::outlines(const Doubles &body, const Point &p
     const Matrix optical = matrix_of(to_optical, kRotation), turn = product(optical, flatten_);
     const Point there = product(turn, place), here = product(optical, camera);
     const Point shift{there[0] - here[0], there[1] - here[1], there[2] - here[2]};
-    std::vector<Point> placed(corners_.size());
-    place_points(product(turn, matrix_of(body, kRotation)), shift, corners_.data(),
-                 static_cast<int>(corners_.size()), placed.data());
-    const std::vector<Corners> found = pinhole_.outlines(placed, starts_);
+    const std::vector<Corners> found = pinhole_.outlines(
+        placed(product(turn, matrix_of(body, kRotation)), shift, corners_), starts_);
     if (found.empty()) {
         return std::nullopt;
     }

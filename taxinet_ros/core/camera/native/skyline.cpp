@@ -123,7 +123,8 @@ void Panorama::lay_over(Picture picture, const Doubles &directions) const {
         find_places(column.data(), height.data(), width, columns_, codes_.rows, places);
         multiply_row(sky, nothing, 1, 0, width, row.data());
         std::uint8_t *colours = target.at(v);
-        if (*std::min_element(height.begin(), height.end()) > lowest) {
+        // Those between are as high, but for rounding.
+        if (*std::min_element(up.begin(), up.end()) > lowest + 1) {
             std::memcpy(colours, row.data(), target.bytes());
             continue;
         }
