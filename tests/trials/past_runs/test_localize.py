@@ -264,7 +264,8 @@ def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alo
     assert {name for name, trial in done.items() if not trial.judged} == lost
     assert {done[name].detail for name in lost} == {why}
     found = localisation(
-        asked.campaign, rows, done, words=asked.words, perception=asked.perception)
+        asked.campaign, rows, done, words=asked.words, perception=asked.perception,
+        examined=asked.examined)
     assert [case.blame for case in found.cases] == [
         Blame.CONTROLLER, Blame.UNKNOWN, Blame.CONTROLLER]
     told = ' '.join(localisation_sentences(found))
