@@ -47,7 +47,7 @@ class Examined:
         """Sentence on the other requirements that are violated; '' if none is.
 
         Args:
-            command: what looks into one of them by ``--spec``.
+            command: what looks into one of them by its option ``spec``.
         """
         others = {
             name: number for name, number in self.violated.items() if number and name != self.spec
@@ -59,11 +59,11 @@ class Examined:
             name if one else f'{name} ({number:,} of {self.judged:,})'
             for name, number in others.items()
         )
-        first, *more = (f'--spec {name}' for name in others)
+        commands = ' or '.join(f'{command} --spec {name}' for name in others)
         also = 'also ' if self.failed else ''
         return (
             f'{"The run" if one else "Runs"} {also}{"violates" if one else "violate"} {named}; '
-            f'look into that by: {" or ".join([f"{command} {first}", *more])}'
+            f'look into that by: {commands}'
         )
 
 

@@ -173,7 +173,9 @@ class Investigation:
         runs = read_examined(self.path, self.spec)
         examined = runs.examined
         assert examined is not None
-        judging = campaign.judging.headed_by(runs.spec)
+        added = campaign.content.added
+        text = f'{runs.spec}={added[runs.spec]}' if runs.spec in added else runs.spec
+        judging = campaign.judging.headed_by(text)
         other = None if runs.spec == campaign.judging.headline else runs.spec
         network = self.perception or str(facts.get('perception', ''))
         found = replace(
@@ -218,8 +220,8 @@ class Investigation:
             found, blames=blames, causes=causes, troubles=troubles, shrunk=self._shrunk(),
             features=self._features(),
             unsatisfiable=unsatisfiable(
-                campaign.scenario(campaign.counterexamples[0])[0], _first(judging),
-                dict(campaign.gains),
+                campaign.scenario((campaign.counterexamples or campaign.judged)[0])[0],
+                _first(judging), dict(campaign.gains),
             ),
         )
 

@@ -94,7 +94,7 @@ class RecordedCampaign:
             UsageError: the runs were not judged by it.
         """
         judged = [row.robustness for row in self.judged]
-        names = self.judging.names or tuple(judged[0] if judged else ())
+        names = tuple(self.facts.get('specs') or (judged[0] if judged else ('',)))
         return examine_runs(names, judged, asked=spec, where=str(self.folder))
 
     @property

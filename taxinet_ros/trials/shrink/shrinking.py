@@ -166,7 +166,8 @@ def make_shrinking(
         out: as there.
         perception: perception, if not the run's.
         controller: controller, if not the run's.
-        specs: formulas as text; if empty the run's, the one to look into first.
+        specs: formulas as text; if empty the run's, the one to look into first. The name of one of
+            several of the run's names that one.
         nominal: ``key=value`` of the nominal scenario.
         images: record ``all`` or ``none`` of the camera frames.
         resume: as there.
@@ -185,10 +186,12 @@ def make_shrinking(
             f'{path}: {why}, so nothing tells a scenario that matters from chance; shrink a run '
             'in lockstep'
         )
-    _check_failed(path, run, other_specs=bool(specs))
+    several = Judging(specs=run.specs).names if len(run.specs) > 1 else ()
+    asked = specs[0] if len(specs) == 1 and specs[0] in several else None
+    _check_failed(path, run, asked, other_specs=bool(specs) and asked is None)
     told: Sequence[str] = ()
-    if not specs and run.specs:
-        examined = run.examine()
+    if run.specs and (asked or not specs):
+        examined = run.examine(asked)
         specs = Judging(specs=run.specs).headed_by(examined.spec).specs
         told = tuple(filter(None, [
             examined.chosen, examined.also(f'taxinet shrink {shlex.quote(str(path))}')]))
@@ -217,12 +220,12 @@ def make_shrinking(
     return Shrinking(run, space, with_workers(campaign, workers, cluster), told)
 
 
-def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
+def _check_failed(path: Path, run: JudgedRun, asked: str | None, *, other_specs: bool) -> None:
     if not run.outcome.judged:
         raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
     if other_specs:
         return
-    spec = run.examine().spec
+    spec = run.examine(asked).spec
     interval = run.robustness.get(spec)
     if interval is not None and interval.satisfied:
         raise UsageError(
