@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import pandas as pd
@@ -32,6 +33,7 @@ from taxinet_ros.bag.layout import holds_bag
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import PAPER_FIELDS
+from taxinet_ros.core.verdict.examined import Examined
 from taxinet_ros.files.atomic import make_atomically, write_parquet
 from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.past_runs.localisation import Trials
@@ -98,23 +100,25 @@ class Localisation:
     """A campaign's counterexamples, each with its verdict.
 
     Attributes:
-        spec: name of the headline formula.
-        specs: number of formulas; a run passes if it satisfies all.
+        spec: name of the formula looked into; a run passes if it satisfies it.
         perception: word or file of the network.
-        failed, runs: number of failed and of judged runs of the campaign.
+        failed, runs: number of runs of the campaign that violate it, and of judged ones.
         chosen_by: sampler of its scenes, '' if the program drew them.
         words: requested substitutions, the control first.
         cases: the analysed counterexamples.
+        chosen: why another formula than the headline is looked into, in words; ''.
+        also: sentence on the other formulas that are violated; ''.
     """
 
     spec: str
-    specs: int
     perception: str
     failed: int
     runs: int
     chosen_by: str
     words: tuple[str, ...]
     cases: tuple[Case, ...]
+    chosen: str = ''
+    also: str = ''
 
     @property
     def counted(self) -> tuple[Case, ...]:
@@ -180,7 +184,7 @@ def judge_case(row: RunRow, trials: Mapping[str, Trial]) -> Case:
 
 def localisation(
     campaign: RecordedCampaign, rows: Sequence[RunRow], trials: Trials, *, words: Sequence[str],
-    perception: str,
+    perception: str, examined: Examined,
 ) -> Localisation:
     """The localisation of a campaign.
 
@@ -190,11 +194,13 @@ def localisation(
         trials: their trials.
         words: requested substitutions, the control first.
         perception: word or file of the network; of a file its name is shown.
+        examined: the requirement looked into, the headline of the rows.
     """
     return Localisation(
-        spec=campaign.judging.headline, specs=len(campaign.judging.specs),
-        perception=Path(perception).name, failed=len(campaign.counterexamples),
-        runs=len(campaign.judged), chosen_by=campaign.sampler, words=tuple(words),
+        spec=examined.spec, chosen=examined.chosen,
+        also=examined.also(f'taxinet localize {quote(str(campaign.folder))}'),
+        perception=Path(perception).name, failed=examined.failed,
+        runs=examined.judged, chosen_by=campaign.sampler, words=tuple(words),
         cases=tuple(
             judge_case(row, {w: trials[row.run_id, w] for w in words if (row.run_id, w) in trials})
             for row in rows

@@ -145,10 +145,10 @@ class Campaign:
             UsageError: no run was judged.
         """
         from taxinet_ros.analysis.campaign.figures import rates_picture
-        from taxinet_ros.analysis.runs.campaign import read_runs
+        from taxinet_ros.analysis.runs.campaign import read_examined
         from taxinet_ros.api.plots import Plot
 
-        return Plot(picture=rates_picture([read_runs(self.folder)]))
+        return Plot(picture=rates_picture([read_examined(self.folder)]))
 
     @takes(out=NONE | PATH)
     def report(self, out: str | os.PathLike[str] | None = None) -> Path:
@@ -166,11 +166,11 @@ class Campaign:
         from taxinet_ros.analysis.campaign.findings import analyse
         from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, write_analysis
         from taxinet_ros.analysis.campaign.report import campaign_report
-        from taxinet_ros.analysis.runs.campaign import read_runs
+        from taxinet_ros.analysis.runs.campaign import read_examined
 
         folder = self.folder / 'analysis' if out is None else Path(out)
         check_folder(folder)
-        findings = analyse(read_runs(self.folder))
+        findings = analyse(read_examined(self.folder))
         write_analysis(findings, campaign_report(findings), folder)
         return folder / PAGE_NAME
 

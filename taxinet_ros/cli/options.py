@@ -235,6 +235,14 @@ SpecOption = Annotated[
         autocompletion=complete_spec,
     ),
 ]
+ExaminedOption = Annotated[
+    str | None,
+    typer.Option(
+        '--spec', metavar='NAME',
+        help='requirement to look into (default: the headline if a run violates it, else the one '
+        'that most runs violate)',
+    ),
+]
 StopOnOption = Annotated[
     str,
     typer.Option(

@@ -68,14 +68,19 @@ class RunSettings(System):
         return bool(self.not_again) or any(
             map(is_node_elsewhere, (self.perception, self.controller)))
 
-    def judged_by(self, spec: str) -> Self:
-        """The settings with one of the requirements, and the assumptions that it reads."""
-        judging = self.judging
-        texts = dict(zip(judging.names, judging.specs, strict=True))
-        one = replace(judging, specs=(texts.get(spec, spec),))
-        read = signal_names(one.parsed_specs[0].formula)
+    def headed_by(self, spec: str, *, alone: bool = False) -> Self:
+        """The settings with one of the requirements first, and the assumptions that they read.
+
+        Args:
+            spec: name or text of the requirement.
+            alone: leave the others out.
+        """
+        judging = self.judging.headed_by(spec)
+        if alone:
+            judging = replace(judging, specs=judging.specs[:1])
+        read = {name for one in judging.parsed_specs for name in signal_names(one.formula)}
         return replace(self, judging=replace(
-            one, bounds=_about(read, judging.bounds), rates=_about(read, judging.rates),
+            judging, bounds=_about(read, judging.bounds), rates=_about(read, judging.rates),
         ))
 
     def command(

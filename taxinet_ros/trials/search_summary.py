@@ -18,9 +18,9 @@ from taxinet_ros.trials.stress import LikeliestFailure
 from taxinet_ros.trials.summary import (
     ON_STANDING_GRAPH,
     participants_words,
-    rho_words,
     scene_words,
     workers_words,
+    worst_words,
 )
 
 
@@ -76,7 +76,7 @@ def search_summary(
     lines += [*_rate_lines(search), *found.stopped_words(), *found.refused_words()]
     lines += found.blind_words()
     if (worst := found.worst) is not None:
-        lines.append(f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}')
+        lines.append(f'worst: run {worst.index}, {worst_words(worst)}: {scene_words(worst)}')
     lines += likeliest.words() if likeliest else []
     lines += [*_rule_lines(search), *_odd_lines(search), found.table_line(campaign)]
     lines += found.next_line(campaign)

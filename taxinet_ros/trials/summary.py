@@ -72,7 +72,7 @@ class Summary:
 
     Attributes:
         outcomes: number of rows by outcome.
-        worst: the judged row with the least robustness of the headline, if any.
+        worst: the judged row with the least robustness of what it is shown by, if any.
         first_rejected: why the first scene that was rejected was, or ''.
         off_runway: number of runs that left the runway.
     """
@@ -233,8 +233,8 @@ class Summary:
 
 
 def _least(row: RunRow) -> tuple[float, float, int]:
-    assert row.headline is not None
-    return row.headline.upper, row.headline.lower, row.index
+    shown = row.robustness[row.decisive]
+    return shown.upper, shown.lower, row.index
 
 
 def campaign_heading(options: CampaignOptions, here: str = 'one process') -> str:
@@ -297,8 +297,9 @@ def row_line(row: RunRow, shared: Mapping[str, Any] = MappingProxyType({})) -> T
         text.append(f' {" ".join(words)}: ' if words else ' ')
         return text.append(f'{row.detail}  ').append(scene_words(row), style='dim')
     text.append(f'  {rho_words(row, 7)}  {row.max_cross_track_m:5.1f} m  ')
-    notes = [] if not row.stopped_early or row.stopped_s is None else [
-        f'stopped at {time_words(row.stopped_s)}']
+    notes = [name] if (name := _other_than_headline(row)) else []
+    if row.stopped_early and row.stopped_s is not None:
+        notes.append(f'stopped at {time_words(row.stopped_s)}')
     if row.unusable_share > MOST_UNUSABLE_SHARE:
         notes.append(f'{row.unusable_estimates} of {row.steps} estimates unusable')
     notes += [free_run_line(row.free)] if row.free else []
@@ -325,9 +326,19 @@ def _sigma_words(sigma: Mapping[str, float]) -> str:
 
 
 def rho_words(row: RunRow, width: int = 0) -> str:
-    """The headline's robustness, or its bounds if the run was stopped early."""
-    assert row.headline is not None
-    return row.headline.bound_words(width)
+    """The robustness that a run is shown by, or its bounds if the run was stopped early."""
+    return row.robustness[row.decisive].bound_words(width)
+
+
+def worst_words(row: RunRow) -> str:
+    """The same, with the name of the formula if it is not the headline."""
+    name = _other_than_headline(row)
+    return f'{rho_words(row)} of {name}' if name else rho_words(row)
+
+
+def _other_than_headline(row: RunRow) -> str:
+    """Name of the formula that a run is shown by, if it is not the headline; ''."""
+    return '' if row.decisive == next(iter(row.robustness)) else row.decisive
 
 
 def scene_words(row: RunRow) -> str:
@@ -386,8 +397,12 @@ def summary_json(found: Summary, options: CampaignOptions, planned: Planned) -> 
     """
     failed, row = failure_rate(found.verdicts, planned), found.worst
     rate, worst = None, None
-    if row is not None and row.headline is not None:
-        worst = {'run_id': row.run_id, 'outcome': row.outcome.value, 'rho': row.headline}
+    if row is not None:
+        other = _other_than_headline(row)
+        worst = {
+            'run_id': row.run_id, 'outcome': row.outcome.value,
+            'rho': row.robustness[row.decisive], **({'spec': other} if other else {}),
+        }
     if failed.rate is not None:
         value, low, high = failed.rate.other
         rate = {

@@ -81,7 +81,7 @@ def found(answers, *, words=WORDS, chosen_by='random', failed=None, **kinds):
         }) for index, given in enumerate(answers)
     )
     return Localisation(
-        spec='phi_eventually', specs=1, perception='original', failed=failed or len(cases),
+        spec='phi_eventually', perception='original', failed=failed or len(cases),
         runs=4 * len(cases), chosen_by=chosen_by, words=words, cases=cases,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import pandas as pd
@@ -63,6 +64,9 @@ def campaign_report(findings: Findings) -> Report:
             ],
             'discount': DISCOUNT, 'shuffles': SHUFFLES,
             'commands': [command for command in commands if command is not None],
+            'chosen': runs.examined.chosen if runs.examined else '',
+            'also': runs.examined.also(f'taxinet analyze {quote(str(runs.path))}')
+            if runs.examined else '',
             'no_program': why_no_program(runs), 'failed': len(failures), 'shown': shown,
         },
         _figures(findings, failures, shown),

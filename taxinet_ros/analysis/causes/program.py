@@ -164,11 +164,11 @@ def fresh_seed(runs: CampaignRuns) -> int:
 
 
 def fresh_settings(runs: CampaignRuns) -> RunSettings:
-    """Settings of fresh runs like the analysed ones, with the analysed requirement alone.
+    """Settings of fresh runs like the analysed ones, with the analysed requirement first.
 
     The values of the scenes are not among them: :func:`scenes_program` has them.
     """
-    settings = _recorded_settings(runs).judged_by(runs.spec)
+    settings = _recorded_settings(runs).headed_by(runs.spec)
     return replace(settings, perception=runs.perception, values={})
 
 
@@ -179,7 +179,8 @@ def _recorded_settings(runs: CampaignRuns) -> RunSettings:
     if not told and is_campaign(runs.folder):
         # The record has the requirements added later, and the documents in full.
         added = open_campaign(runs.folder).content.added
-        facts['specs'] = {**added, **facts.get('specs', {})}
+        asked = {name: text for name, text in added.items() if name == runs.spec}
+        facts['specs'] = {**facts.get('specs', {}), **asked}
         settings = RunSettings.from_facts(facts)
     return replace(settings, values={
         key: CATALOGUES[key].typed(str(value)).text if key in CATALOGUES else value

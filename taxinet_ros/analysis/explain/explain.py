@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,7 @@ from taxinet_ros.core.rig.rig import Rig
 from taxinet_ros.core.scenario_fields import along_words
 from taxinet_ros.core.types import TrackingError, time_words
 from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.core.verdict.examined import Examined, examine_runs
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import KMWH
@@ -67,7 +68,8 @@ class Explanation:
             asked; None if none was.
         hidden: scenario keys that were not changed, as this camera does not show them.
         outcome: outcome of the recorded run, or '' if the bag ends before.
-        clauses: what the robustness of its headline requirement comes from, if it was evaluated.
+        clauses: what the robustness of the requirement looked into comes from, if it was evaluated.
+        examined: how that was chosen; it is the headline of ``run``.
     """
 
     bag: Path
@@ -84,6 +86,7 @@ class Explanation:
     hidden: tuple[str, ...] = ()
     outcome: str = ''
     clauses: Clauses | None = None
+    examined: Examined | None = None
 
     @property
     def own(self) -> bool:
@@ -105,7 +108,7 @@ class Explanation:
 def explain(
     recording: Recording, perception: Perception, *, frames: int,
     on_progress: Progress = lambda stage, done, total: None,
-    renderer: ChosenRenderer | None = None,
+    renderer: ChosenRenderer | None = None, spec: str | None = None,
 ) -> Explanation:
     """Explain a run.
 
@@ -116,13 +119,18 @@ def explain(
         on_progress: called with the progress.
         renderer: the run's camera, where that is not ours, asked for pictures of modified scenes;
             None: they are not modified.
+        spec: name of the requirement to look into; None to choose it.
 
     Raises:
         WorldDiffers: frames are missing and cannot be reproduced.
         InfraError: the camera failed.
         BagError, UsageError: the bag cannot be read.
     """
-    bag, run = recording.path, recording.run
+    bag, run, facts = recording.path, recording.run, recording.facts
+    judging = run.request.judging
+    known = {name: one.interval for name, one in facts.judged.items()} if facts else {}
+    examined = examine_runs(judging.names, [known], asked=spec, where=str(bag))
+    run = replace(run, request=replace(run.request, judging=judging.headed_by(examined.spec)))
 
     def look(image: Frame, rig: Rig = run.request.scenario.rig) -> TrackingError:
         if isinstance(perception, NetworkPerception):
@@ -160,7 +168,7 @@ def explain(
         track=track, moments=chosen, effects=found,
         reruns=driven, not_rerun=not_rerun, not_modified=theirs, again=again,
         hidden=() if renderer is None else not_shown(renderer.shows),
-        outcome='' if recording.facts is None else recording.facts.outcome,
+        outcome='' if facts is None else facts.outcome, examined=examined,
         clauses=recording.judge(run.request.judging.specs[0], explain=True).explanation,
     )
 

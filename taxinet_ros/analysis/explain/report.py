@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from taxinet_ros.analysis.explain.counterfactual import LEAST_SHARE
@@ -61,6 +62,9 @@ def explain_report(found: Explanation) -> Report:
             'misled_deg': math.degrees(abs(worst.misled_rad)), 'outcome': found.outcome,
             'scene': found.run.request.scenario.to_human(),
             'camera': world_and_camera(found.run.world or KMWH)[1],
+            'chosen': found.examined.chosen if found.examined else '',
+            'also': found.examined.also(f'taxinet explain {quote(str(found.bag))}')
+            if found.examined else '',
             'tolerance_m': CENTRELINE_TOLERANCE_M,
         },
         _figures(found), runs={run_id: found.bag}, worst=run_id, worst_words='The run',

@@ -27,6 +27,7 @@ from taxinet_ros.core.mtl.interval import lower_column, upper_column
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.provenance import Provenance
+from taxinet_ros.core.verdict.examined import Examined, examine
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME
@@ -174,6 +175,7 @@ class CampaignRuns:
         path: folder or file that it was read from.
         program, perception, sampler: scenario program, perception, and sampler of the scenes.
         spec: name of the formula that defines failure.
+        examined: how it was chosen, if it was chosen by what is violated.
         facts: facts of the campaign, if they are recorded beside the table.
         stacks: machines, libraries and code of the runs; empty if not recorded.
         frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
@@ -216,6 +218,7 @@ class CampaignRuns:
     blind: int = 0
     claimed: str = ''
     unrecorded: str = ''
+    examined: Examined | None = None
 
     @property
     def scenes_words(self) -> str:
@@ -287,11 +290,33 @@ def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
     return runs_of(read_table(path), path, spec)
 
 
+def read_examined(path: Path, spec: str | None = None) -> CampaignRuns:
+    """Read the runs of a campaign with the requirement to look into (:mod:`.examined`).
+
+    Requirements that were added later count if asked for: no run failed by them.
+
+    Args:
+        path: as of :func:`read_runs`.
+        spec: its name; None to choose it.
+
+    Raises:
+        UsageError: as of :func:`read_runs`.
+    """
+    table = read_table(path)
+    _check_columns(table, path)
+    known = _specs(table, path)
+    own = facts_beside(path).get('specs') or known
+    judged = table[table['outcome'].isin(_JUDGED)]
+    examined = examine({
+        name: int((_rho(judged, name)[0] <= 0).sum()) for name in known
+        if name in own or name == spec
+    } or dict.fromkeys(known, 0), len(judged), asked=spec, where=str(path))
+    return replace(runs_of(table, path, examined.spec), examined=examined)
+
+
 def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> CampaignRuns:
     """The judged runs of a table that was read from ``path``; see :func:`read_runs`."""
-    missing = [name for name in _NEEDED if name not in table.columns]
-    if missing:
-        raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')
+    _check_columns(table, path)
     name = _spec_name(table, path, spec)
     facts = facts_beside(path)
     anytime, counted = _plan(table, facts)
@@ -354,17 +379,28 @@ def distinct_labels(campaigns: Sequence[CampaignRuns]) -> list[CampaignRuns]:
     ]
 
 
-def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
+def _check_columns(table: pd.DataFrame, path: Path) -> None:
+    missing = [name for name in _NEEDED if name not in table.columns]
+    if missing:
+        raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')
+
+
+def _specs(table: pd.DataFrame, path: Path) -> list[str]:
     names = specs_of(table.columns)
     if not names:
         raise UsageError(f'{path}: the table has no robustness')
+    return names
+
+
+def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
+    names = _specs(table, path)
     if spec is not None and spec not in names:
         raise UsageError(f'spec {spec}: not judged in {path}; known: {", ".join(names)}')
     return spec or names[0]
 
 
-def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
-    """Features and outcome of judged runs; ``failed`` is missing if the sign is not known."""
+def _rho(judged: pd.DataFrame, spec: str) -> tuple[Floats, Mask]:
+    """Robustness of judged runs, NaN if the sign is not known, and whether it is exact."""
     rho = judged[rho_column(spec)].to_numpy(dtype=np.float64)
     empty = np.full(len(rho), np.nan)
     lower, upper = (
@@ -373,7 +409,13 @@ def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
     )
     exact = ~np.isnan(rho)
     bound = np.where(upper <= 0, upper, np.where(lower > 0, lower, np.nan))
-    rho = np.where(exact, rho, bound)
+    return np.where(exact, rho, bound), exact
+
+
+def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
+    """Features and outcome of judged runs; ``failed`` is missing if the sign is not known."""
+    rho, exact = _rho(judged, spec)
+    empty = np.full(len(rho), np.nan)
     failed = pd.Series(rho <= 0, dtype='boolean').mask(pd.Series(np.isnan(rho)))
     left = judged['left_runway'].astype('Float64') if 'left_runway' in judged.columns else None
     facts = pd.DataFrame({

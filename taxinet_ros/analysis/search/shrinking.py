@@ -183,6 +183,7 @@ def _as_json(shrinking: Shrinking, found: Report) -> dict[str, Any]:
         'run': shrinking.run.run_id,
         'perception': shrinking.campaign.perception,
         'spec': shrinking.headline,
+        **({'told': list(shrinking.told)} if shrinking.told else {}),
         'end': found.state.end.value or 'interrupted',
         'runs': len(shrinking.judged),
         'made_on': dict(provenance()),

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from taxinet_ros.cli.options import JsonOption
+from taxinet_ros.cli.options import ExaminedOption, JsonOption
 from taxinet_ros.cli.show import line_console
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -33,9 +33,7 @@ def analyze(
     out: Annotated[
         Path | None, typer.Option(help='output folder (default CAMPAIGN/analysis)')
     ] = None,
-    spec: Annotated[
-        str | None, typer.Option(metavar='NAME', help='formula to analyse instead of the headline')
-    ] = None,
+    spec: ExaminedOption = None,
     alpha: Annotated[
         float, typer.Option(help='accepted probability of naming a false cause')
     ] = 0.05,
@@ -55,12 +53,12 @@ def analyze(
         write_analysis,
     )
     from taxinet_ros.analysis.campaign.report import campaign_report
-    from taxinet_ros.analysis.runs.campaign import distinct_labels, read_runs
+    from taxinet_ros.analysis.runs.campaign import distinct_labels, read_examined, read_runs
 
     if not _LOWEST_ALPHA <= alpha <= _HIGHEST_ALPHA:
         raise UsageError(f'--alpha {alpha:g}: not within {_LOWEST_ALPHA:g}..{_HIGHEST_ALPHA:g}')
     folder = out or _beside(campaign)
-    first = read_runs(campaign, spec)
+    first = read_examined(campaign, spec)
     others = [read_runs(path, first.spec) for path in baseline or ()]
     runs, *others = distinct_labels([first, *others])
     check_folder(folder)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.options import JsonOption, RunOption
+from taxinet_ros.cli.options import ExaminedOption, JsonOption, RunOption
 from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode, UsageError
 
@@ -40,6 +40,7 @@ def explain(
             '(default: they are not changed)',
         ),
     ] = None,
+    spec: ExaminedOption = None,
     out: Annotated[
         Path | None, typer.Option(help='output folder for page and images; must be new')
     ] = None,
@@ -67,7 +68,7 @@ def explain(
         with stage_bars(console) as show:
             found = explain(
                 recording, make_perception(word), frames=frames,
-                on_progress=show, renderer=renderer,
+                on_progress=show, renderer=renderer, spec=spec,
             )
     make_out(out)
     page, values = write_explanation(found, out)

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.options import CampaignArgument, JsonOption, ProcessesCountOption
+from taxinet_ros.cli.options import (
+    CampaignArgument,
+    ExaminedOption,
+    JsonOption,
+    ProcessesCountOption,
+)
 from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode
 
@@ -40,6 +45,7 @@ def localize(
     perception: Annotated[
         str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
     ] = None,
+    spec: ExaminedOption = None,
     as_json: JsonOption = False,
 ) -> int:
     """Find which part causes failures: network or controller.
@@ -54,7 +60,7 @@ def localize(
     with missing_packages_named(campaign):
         options = make_localize_options(
             campaign, runs=runs, words=substitutions or (), workers=workers, out=out,
-            perception=perception,
+            perception=perception, spec=spec,
         )
     return run_localize(options, as_json=as_json)
 
@@ -85,7 +91,8 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
         )
     campaign = options.campaign
     found = localisation(
-        campaign, options.rows, trials, words=options.words, perception=options.perception
+        campaign, options.rows, trials, words=options.words, perception=options.perception,
+        examined=options.examined,
     )
     unfinished = len(trials) < options.wanted
     written = _write(found, campaign, options.out)
@@ -104,7 +111,7 @@ def _heading(options: LocalizeOptions) -> str:
     rows, words = len(options.rows), ', '.join(options.words)
     campaign = options.campaign
     return (
-        f'{rows} of {len(campaign.counterexamples)} failed runs of {campaign.folder}, '
+        f'{rows} of {options.examined.failed} failed runs of {campaign.folder}, '
         f'perception {options.perception}, each with {words} -> {options.out}'
     )
 

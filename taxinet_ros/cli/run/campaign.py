@@ -259,8 +259,9 @@ class _Figures(ProgressColumn):
             left = search.options.runs - len(seen)
             yield f'{datetime.timedelta(seconds=round(60 * left / pace))} left'
         if seen:
-            least = seen.worst.headline if seen.worst else None
-            yield f'lowest rho {rho_text(least.upper if least else math.nan)}'
+            worst = seen.worst
+            least = math.nan if worst is None else worst.robustness[worst.decisive].upper
+            yield f'lowest rho {rho_text(least)}'
         if len(seen) < search.options.runs:  # else it is about to vanish, and takes long once
             # A viewer may stop at any time: use the interval that is valid at every look.
             planned = search.first_planned or range(0)

@@ -99,7 +99,7 @@ def _run_shrink(shrinking: Shrinking, *, quiet: bool) -> int:
         if engine.book.warning:
             console.print(engine.book.warning, soft_wrap=True, markup=False)
         if not quiet:
-            console.print(shrink_heading(shrinking), soft_wrap=True)
+            console.print('\n'.join([*shrinking.told, shrink_heading(shrinking)]), soft_wrap=True)
         with search_view(console, engine, shown=console.is_terminal and not quiet):
             run_on_workers(engine, cluster)
     found = make_report(shrinking)

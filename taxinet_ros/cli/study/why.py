@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taxinet_ros.cli.options import AuditOption, ClusterOption, EngineOption, JsonOption
+from taxinet_ros.cli.options import (
+    AuditOption,
+    ClusterOption,
+    EngineOption,
+    ExaminedOption,
+    JsonOption,
+)
 from taxinet_ros.cli.show import line_console, print_json
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -37,6 +43,7 @@ def why(
     perception: Annotated[
         str | None, typer.Option(metavar='FILE', help="the runs' network, if its file has moved")
     ] = None,
+    spec: ExaminedOption = None,
     workers: Annotated[
         int, typer.Option(min=1, max=8, help='worker processes; same results')
     ] = 2,
@@ -73,7 +80,8 @@ def why(
     where = check_cluster(cluster) if cluster else ''
     kind = kind_of(path)
     subject, path = path, path.absolute()
-    out = (out or DEFAULT_ROOT / f'{path.resolve().stem}-why').absolute()
+    name = '-'.join(filter(None, (path.resolve().stem, 'why', spec)))
+    out = (out or DEFAULT_ROOT / name).absolute()
     if out.is_dir() and any(out.iterdir()) and not (out / RECORD_NAME).is_file():
         raise UsageError(f'--out {_near(out)}: contains something else; choose another folder')
     make_out(out)
@@ -81,7 +89,9 @@ def why(
     show = console.print
     show(f'why {kind} {subject}: at most about {budget} runs -> {_near(out)}')
     with open_study(out, show) as record:
-        claim_study(record, 'why', {'path': str(path)})
+        claim_study(record, 'why', {
+            'path': str(path), **({'spec': spec} if spec else {}),
+        })
         (out / 'logs').mkdir(exist_ok=True)
         numbers, began = itertools.count(1), time.monotonic()
 
@@ -95,7 +105,7 @@ def why(
             return sitting.refused
 
         work = Investigation(
-            path=path, out=out, perception=perception, budget=asked,
+            path=path, out=out, perception=perception, spec=spec, budget=asked,
             workers=workers, run_stages=run_stages,
         )
         try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from taxinet_ros.core.mtl import Assumptions, Reading, Spec, parse_assumptions, parse_spec
@@ -96,6 +96,11 @@ class Judging:
     def headline(self) -> str:
         """Name of the first formula."""
         return parse_spec(self.specs[0]).name
+
+    def headed_by(self, name: str) -> Self:
+        """The same with one formula as the headline, by name or text, before the others."""
+        texts = dict(zip(self.names, self.specs, strict=True))
+        return replace(self, specs=(texts.pop(name, name), *texts.values()))
 
     def facts(self) -> dict[str, Any]:
         """Plain values for a campaign's record, the formulas fully parenthesised."""

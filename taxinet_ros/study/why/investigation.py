@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from taxinet_ros.analysis.causes.program import (
 from taxinet_ros.analysis.causes.region import Region, part_of
 from taxinet_ros.analysis.fault_localisation import Blame
 from taxinet_ros.analysis.report.text import sentences
-from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_examined, read_runs
 from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.analysis.search.shrinking import TEXT
 from taxinet_ros.bag.layout import holds_bag
@@ -120,6 +121,7 @@ class Investigation:
         path: folder of a campaign, or the bag of a run; absolute.
         out: existing folder of the results; absolute.
         perception: word or file of the network, if it has moved; None for the recorded one.
+        spec: name of the requirement to look into; None to choose it.
         budget: runs to be made.
         workers: processes.
         run_stages: runs stages.
@@ -131,6 +133,7 @@ class Investigation:
     budget: Budget
     workers: int
     run_stages: RunStages
+    spec: str | None = None
 
     def evidence(self) -> Evidence:
         """Run what is not done, and collect the evidence.
@@ -143,8 +146,15 @@ class Investigation:
             run = find_run(self.path)
             return _with_domain(self._run(run), [run.scenario.to_human()])
         found = self._campaign(open_campaign(self.path))
-        scenes: Any = read_runs(self.path).scenes.to_dict('records') if found.failed else ()
+        scenes: Any = (
+            read_runs(self.path, found.spec).scenes.to_dict('records') if found.failed else ())
         return _with_domain(found, scenes)
+
+    @property
+    def _command(self) -> str:
+        """The command that looks into the subject."""
+        near = str(self.path).removeprefix(f'{Path.cwd()}/')
+        return f'taxinet why {shlex.quote(near)}'
 
     # A campaign ----------------------------------------------------------------------------------
 
@@ -160,39 +170,46 @@ class Investigation:
             raise UsageError(
                 f'{self.path}: it has no {PARQUET_NAME}; wait for its end, or resume it'
             )
-        runs = read_runs(self.path)
+        runs = read_examined(self.path, self.spec)
+        examined = runs.examined
+        assert examined is not None
+        added = campaign.content.added
+        text = f'{runs.spec}={added[runs.spec]}' if runs.spec in added else runs.spec
+        judging = campaign.judging.headed_by(text)
+        other = None if runs.spec == campaign.judging.headline else runs.spec
         network = self.perception or str(facts.get('perception', ''))
         found = replace(
             _of_runs(runs, subject=str(self.path)), others=_outcomes(campaign), network=network,
             formula=str(facts.get('specs', {}).get(runs.spec, '')),
+            chosen=examined.chosen, also=examined.also(self._command),
         )
         found = replace(self._with_scenes(found, runs), base=self._base(runs.scenes))
-        if not campaign.counterexamples:
+        if not found.failed:
             return found
-        stages = [analyze_stage(self.path, self.out)]
+        stages = [analyze_stage(self.path, self.out, other)]
         troubles: dict[str, str] = {}
         try:
             make_localize_options(
                 self.path, runs=self.budget.localized, words=(), workers=self.workers, out=None,
-                perception=self.perception,
+                perception=self.perception, spec=other,
             )
             stages.append(localize_stage(
-                self.path, self.out, runs=min(self.budget.localized, len(campaign.counterexamples)),
-                workers=self.workers, perception=self.perception,
+                self.path, self.out, runs=min(self.budget.localized, found.failed),
+                workers=self.workers, perception=self.perception, spec=other,
             ))
         except UsageError as error:
             troubles[LOCALIZE] = str(error)
         troubles |= self.run_stages(stages)
         if why_not := self._analysis()['causes_why_not']:
             troubles[CAUSES] = str(why_not)
-        blames = None if LOCALIZE in troubles else self._blames(campaign)
+        blames = None if LOCALIZE in troubles else self._blames(campaign, judging)
         causes = self._causes()
         if LOCALIZE in troubles:
             troubles[EXPLAIN] = troubles[CONFIRM] = troubles[LOCALIZE]
         else:
             causes = self._looked_into(
                 causes, self.path / causes[0].run_id, network, recorded_world(facts)[0], blames,
-                troubles,
+                troubles, None if other is None else judging,
             )
             scenes: Any = runs.scenes.to_dict('records')
             causes = self._tested(
@@ -203,8 +220,8 @@ class Investigation:
             found, blames=blames, causes=causes, troubles=troubles, shrunk=self._shrunk(),
             features=self._features(),
             unsatisfiable=unsatisfiable(
-                campaign.scenario(campaign.counterexamples[0])[0], campaign.judging,
-                dict(campaign.gains),
+                campaign.scenario((campaign.counterexamples or campaign.judged)[0])[0],
+                _first(judging), dict(campaign.gains),
             ),
         )
 
@@ -270,14 +287,14 @@ class Investigation:
         telling = [one['feature'] for one in found['ranking'] if one['p'] <= found['alpha']]
         return ' and '.join(BY_NAME[name].title for name in telling[:2])
 
-    def _blames(self, campaign: RecordedCampaign) -> Blames:
+    def _blames(self, campaign: RecordedCampaign, judging: Judging) -> Blames:
         """The trials by what is at fault; those of the controller by their first sample."""
         cases = pd.read_parquet(self.out / LOCALIZE / 'localize.parquet')
         number = Counter(cases['blame'].tolist())
         rows = {row.run_id: row for row in campaign.counterexamples}
         world = find_world(*recorded_world(campaign.facts)).make
         doomed = sum(
-            violated_at_start(campaign.scenario(rows[run_id])[0], campaign.judging, world)
+            violated_at_start(campaign.scenario(rows[run_id])[0], _first(judging), world)
             for run_id in cases.loc[cases['blame'] == Blame.CONTROLLER.value, 'run_id']
         )
         return Blames(
@@ -288,9 +305,12 @@ class Investigation:
 
     def _looked_into(
         self, causes: Sequence[CauseEvidence], worst: Path, network: str, world: str,
-        blames: Blames | None, troubles: dict[str, str],
+        blames: Blames | None, troubles: dict[str, str], other: Judging | None,
     ) -> tuple[CauseEvidence, ...]:
-        """Explain the worst run of the first causes, and shrink the worst of the first."""
+        """Explain the worst run of the first causes, and shrink the worst of the first.
+
+        ``other`` is how runs are judged if another requirement than their headline comes first.
+        """
         stages = []
         first = causes[:MOST_CAUSES]
         if network == TRUTH:
@@ -299,7 +319,7 @@ class Investigation:
             troubles[EXPLAIN] = f'no bag of a failed run is left in {self.path}'
         else:
             stages += [
-                explain_stage(cause.bag, self.out, cause.rank, network, world)
+                explain_stage(cause.bag, self.out, cause.rank, network, world, other)
                 for cause in first if cause.bag is not None
             ]
         if first[0].run_id:
@@ -307,7 +327,7 @@ class Investigation:
             alone = blames is not None and not blames.network and blames.counted
             stages.append(shrink_stage(
                 worst, self.out, runs=self.budget.shrunk, workers=self.workers,
-                perception=TRUTH if alone else network,
+                perception=TRUTH if alone else network, judging=other,
             ))
         troubles |= self.run_stages(stages)
         return (*(self._explained(cause) for cause in first), *causes[MOST_CAUSES:])
@@ -352,7 +372,9 @@ class Investigation:
             troubles[CONFIRM] = why
             return tuple(causes)
         return self._experiments(
-            causes, found.settings, seed=found.seed, troubles=troubles, trained=trained)
+            causes, found.settings.headed_by(found.spec, alone=True), seed=found.seed,
+            troubles=troubles, trained=trained,
+        )
 
     def _experiments(
         self, causes: Sequence[CauseEvidence], settings: RunSettings, *, seed: int,
@@ -415,28 +437,33 @@ class Investigation:
 
     def _run(self, run: JudgedRun) -> Evidence:
         network = self.perception or run.perception
-        headline = run.headline if run.specs else ''
+        examined = run.examine(self.spec)
+        spec = examined.spec
         texts = dict(text.partition('=')[::2] for text in run.specs)
+        failed = run.outcome is Outcome.FAIL and (
+            not run.robustness or run.robustness[spec].failed)
         found = Evidence(
-            subject=str(self.path), network=network, controller=run.controller, spec=headline,
-            formula=texts.get(headline, ''), judged=int(run.outcome.judged),
-            failed=int(run.outcome is Outcome.FAIL), single=True,
+            subject=str(self.path), network=network, controller=run.controller, spec=spec,
+            formula=texts.get(spec, ''), judged=int(run.outcome.judged),
+            failed=int(failed), single=True, chosen=examined.chosen,
+            also=examined.also(self._command),
             others={} if run.outcome.judged else {str(run.outcome): 1},
             rate='a single run has no rate',
         )
-        if run.outcome is not Outcome.FAIL:
+        if not failed:
             return found
         troubles: dict[str, str] = {}
         bag = self.path if holds_bag(self.path) else None
         cause = CauseEvidence(rank=0, words='this run', run_id=run.run_id, bag=bag)
-        judging = Judging(specs=run.specs)
+        judging = Judging(specs=run.specs).headed_by(spec)
         blames = None
         try:
-            blames = self._trial_blames(run, network)
+            blames = self._trial_blames(run, network, judging)
         except (UsageError, InfraError) as error:
             troubles[LOCALIZE] = troubles[EXPLAIN] = troubles[CONFIRM] = str(error)
         if blames is not None:
-            cause, = self._looked_into([cause], self.path, network, run.world, blames, troubles)
+            cause, = self._looked_into([cause], self.path, network, run.world, blames, troubles,
+                None if spec == run.headline else judging)
             program = self.out / _PROGRAM
             write_atomically(program, near_program(run.scenario, run.run_id))
             settings = RunSettings(
@@ -452,13 +479,14 @@ class Investigation:
                 troubles[CONFIRM] = why
             else:
                 cause, = self._experiments(
-                    [cause], settings, seed=found.seed, troubles=troubles)
+                    [cause], settings.headed_by(spec, alone=True), seed=found.seed,
+                    troubles=troubles)
         return replace(
             found, blames=blames, causes=(cause,), troubles=troubles, shrunk=self._shrunk(),
-            unsatisfiable=unsatisfiable(run.scenario, judging, dict(run.gains)),
+            unsatisfiable=unsatisfiable(run.scenario, _first(judging), dict(run.gains)),
         )
 
-    def _trial_blames(self, run: JudgedRun, network: str) -> Blames:
+    def _trial_blames(self, run: JudgedRun, network: str, judging: Judging) -> Blames:
         """Drive a run again unchanged, and with perfect estimates."""
         if why := run.not_again:
             raise UsageError(why)
@@ -471,17 +499,17 @@ class Investigation:
             run.controller_sha256, 'put its file back',
         )
         system = run.alone(perception=network, controller_sha256='')
-        judging, loop = Judging(specs=run.specs), Loop()
+        spec, loop = judging.headline, Loop()
 
         def trial(word: str) -> Trial:
             task = Task(
                 run_id=run.run_id, index=0, program='', seed=run.seed, scenario=run.scenario,
                 judging=judging, participants=(), system=system, word=word,
             )
-            return Trial.of(task, loop.run(task))
+            return Trial.of(task, loop.run(task)).about(spec)
 
         control = trial(AS_RECORDED)
-        before = run.robustness.get(run.headline)
+        before = run.robustness.get(spec)
         if control.passed is not False or (before is not None and control.robustness != before):
             return Blames(unknown=1)
         passed = trial(WITH_TRUTH).passed
@@ -490,7 +518,7 @@ class Investigation:
         if passed:
             return Blames(network=1)
         world = find_world(run.world, run.world_sha256).make
-        doomed = violated_at_start(run.scenario, judging, world)
+        doomed = violated_at_start(run.scenario, _first(judging), world)
         return Blames(requirement=int(doomed), controller=int(not doomed))
 
 
@@ -513,6 +541,11 @@ def kind_of(path: Path) -> str:
                 f'{path / bags[0]}'
             )
     raise UsageError(f'{path}: neither the folder of a campaign nor the bag of a run')
+
+
+def _first(judging: Judging) -> Judging:
+    """The first requirement alone."""
+    return replace(judging, specs=judging.specs[:1])
 
 
 def violated_at_start(scenario: Scenario, judging: Judging, make_world: Any) -> bool:
@@ -559,12 +592,14 @@ def _domain_of(network: str) -> Domain | None:
 def _of_runs(runs: CampaignRuns, *, subject: str) -> Evidence:
     found = runs.rate()
     rated = runs.weighting.rated
+    several = runs.examined is not None and len(runs.examined.violated) > 1
+    fail = f'violate {runs.spec}' if several else 'fail'
     controller = str(runs.facts.get('controller', '')) or 'unknown'
     return Evidence(
         subject=subject, network=runs.perception, controller=controller, spec=runs.spec,
         judged=len(runs.frame), failed=int(runs.failed.sum()),
         others={**runs.others},
-        rate=f'{found.words()} of the scenes of {runs.scenes_words} fail' if rated else (
+        rate=f'{found.words()} of the scenes of {runs.scenes_words} {fail}' if rated else (
             'there is no failure rate of the program, as none of these runs was drawn by it alone'),
         searched='' if rated and runs.weight.all() else runs.sampler,
     )

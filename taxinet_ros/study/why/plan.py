@@ -29,6 +29,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN_CLOUDS,
     split_point,
 )
+from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
 from taxinet_ros.scenes.programs import scenario_program
@@ -88,43 +89,64 @@ def confirm_name(rank: int) -> str:
     return f'confirm-{rank}' if rank else 'confirm'
 
 
-def analyze_stage(campaign: Path, out: Path) -> Stage:
-    """Stage that finds what failures have in common; replaces an earlier one."""
+def analyze_stage(campaign: Path, out: Path, spec: str | None) -> Stage:
+    """Stage that finds what failures have in common; replaces an earlier one.
+
+    ``spec`` names the requirement looked into, here and below, if it is not the headline.
+    """
     # 3: scenes were chosen by a sampler, so there is no rate.
-    return analysis_stage(ANALYZE, str(campaign), options={'out': out / ANALYZE}, accepts=(0, 3))
+    return analysis_stage(
+        ANALYZE, str(campaign), options={**_named(spec), 'out': out / ANALYZE}, accepts=(0, 3),
+    )
 
 
 def localize_stage(
-    campaign: Path, out: Path, *, runs: int, workers: int, perception: str | None
+    campaign: Path, out: Path, *, runs: int, workers: int, perception: str | None,
+    spec: str | None,
 ) -> Stage:
     """Stage that drives failed runs again with perfect estimates."""
     moved = {} if perception is None else {'perception': perception}
     return localisation_stage(
         LOCALIZE, str(campaign), runs=runs, workers=workers,
-        options={**moved, 'out': out / LOCALIZE}, optional=True,
+        options={**moved, **_named(spec), 'out': out / LOCALIZE}, optional=True,
     )
 
 
-def explain_stage(bag: Path, out: Path, rank: int, perception: str, world: str) -> Stage:
-    """Stage that explains the errors of the network in one run."""
+def _named(spec: str | None) -> dict[str, str]:
+    return {} if spec is None else {'spec': spec}
+
+
+def explain_stage(
+    bag: Path, out: Path, rank: int, perception: str, world: str, judging: Judging | None
+) -> Stage:
+    """Stage that explains the errors of the network in one run.
+
+    ``judging`` is how runs are judged, here and below, if not with their headline first.
+    """
     name, camera = explain_name(rank), world_and_camera(world)[1]
     seen = {} if camera == OURS else {'camera': camera}
     return Stage(
         name=name, command='explain', argument=str(bag),
-        options={'perception': perception, **seen, 'out': out / name},
+        options={
+            'perception': perception, **seen, **_named(judging.headline if judging else None),
+            'out': out / name,
+        },
         inputs=tuple(str(path) for path in storage_files(bag)),
         outputs=(f'{name}/explain.json', f'{name}/explain.html'), optional=True,
     )
 
 
-def shrink_stage(bag: Path, out: Path, *, runs: int, workers: int, perception: str) -> Stage:
+def shrink_stage(
+    bag: Path, out: Path, *, runs: int, workers: int, perception: str, judging: Judging | None
+) -> Stage:
     """Stage that finds the parameters of a run that matter."""
     table = bag.parent / PARQUET_NAME
     inputs = (table,) if table.is_file() else storage_files(bag) if bag.is_dir() else ()
     return Stage(
         name=SHRINK, command='shrink', argument=str(bag), runs=runs, hints={'workers': workers},
         options={
-            'perception': perception, 'images': 'none', 'quiet': True, 'out': out / SHRINK,
+            'perception': perception, **({'spec': judging.specs} if judging else {}),
+            'images': 'none', 'quiet': True, 'out': out / SHRINK,
         },
         inputs=tuple(map(str, inputs)), outputs=(f'{SHRINK}/shrink.json',),
         resume=Resume.OPTION, optional=True,

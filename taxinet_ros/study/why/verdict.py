@@ -206,6 +206,8 @@ class Evidence:
         single: whether the subject is one run.
         outside: how its scenes are outside what the network was trained in; ''.
         elsewhere: the shipped network that was trained for such scenes, then; ''.
+        chosen: why another requirement than the headline is looked into, in words; ''.
+        also: sentence on the other requirements that are violated; ''.
         features: on which it depends whether runs fail, although no cause was found; ''.
     """
 
@@ -231,15 +233,20 @@ class Evidence:
     single: bool = False
     outside: str = ''
     elsewhere: str = ''
+    chosen: str = ''
+    also: str = ''
     features: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """The verdict: what is at fault, and three sentences: whose fault, in what, how sure."""
+    """The verdict: what is at fault, and three sentences: whose fault, in what, how sure.
+
+    A fourth one names other requirements that are violated, if there are any.
+    """
 
     fault: Fault
-    sentences: tuple[str, str, str]
+    sentences: tuple[str, ...]
 
 
 def fault_of(evidence: Evidence) -> Fault:
@@ -270,7 +277,9 @@ def judge(evidence: Evidence) -> Verdict:
         for block in ('whose', 'where', 'sure'))
     # Said first: no other cause need be looked for before.
     outside = f'The network {evidence.outside}. ' if evidence.outside and evidence.failed else ''
-    return Verdict(fault=fault, sentences=(f'{outside}{whose}', where, sure))
+    chosen = f'{evidence.chosen[0].upper()}{evidence.chosen[1:]}. ' if evidence.chosen else ''
+    also = (f'{evidence.also}.',) if evidence.also else ()
+    return Verdict(fault=fault, sentences=(f'{chosen}{outside}{whose}', where, sure, *also))
 
 
 TRAINED, ADDED, FURTHER = 'training_full', 2400, 4000

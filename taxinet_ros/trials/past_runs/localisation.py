@@ -25,6 +25,7 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.system import System, digest_of
 from taxinet_ros.core.types import rate_of
 from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.verdict.examined import Examined
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.options import DEFAULT_ROOT
 from taxinet_ros.trials.past_runs.recorded_campaign import (
@@ -50,7 +51,8 @@ class LocalizeOptions:
 
     Attributes:
         campaign: campaign with the failed runs.
-        rows: rows of the failed runs to analyse.
+        examined: the requirement to look into.
+        rows: rows of the runs to analyse that violate it; it is their headline.
         words: names of the substitutions, the control first.
         perception: word or file of the network.
         workers: number of processes.
@@ -58,6 +60,7 @@ class LocalizeOptions:
     """
 
     campaign: RecordedCampaign
+    examined: Examined
     rows: tuple[RunRow, ...]
     words: tuple[str, ...]
     perception: str
@@ -77,7 +80,7 @@ class LocalizeOptions:
 
 def make_localize_options(
     campaign: Path, *, runs: int | None, words: Iterable[str], workers: int, out: Path | None,
-    perception: str | None,
+    perception: str | None, spec: str | None = None,
 ) -> LocalizeOptions:
     """Check the command-line arguments.
 
@@ -88,6 +91,7 @@ def make_localize_options(
         workers: number of processes.
         out: folder; if None, one below ``bags/`` named after the campaign.
         perception: the network's file if it was moved; None for the campaign's.
+        spec: name of the requirement to look into; None to choose it.
 
     Raises:
         UsageError: one line on the first error.
@@ -97,7 +101,14 @@ def make_localize_options(
     if runs is not None and runs < 1:
         raise UsageError(f'runs {runs}: needs to be 1 or more')
     found = open_failed_campaign(campaign)
-    rows = spread_evenly(found.counterexamples, runs)
+    examined = found.examine(spec)
+    if not examined.failed:
+        raise UsageError(
+            f'{campaign}: none of its {examined.judged} judged runs violates {examined.spec}')
+    rows = spread_evenly([
+        row.about(examined.spec) for row in found.counterexamples
+        if row.robustness[examined.spec].failed
+    ], runs)
     periods_s = {1 / rate_of(row.period_ns) for row in rows}
     chosen = [parse_substitution(word, periods_s).word for word in words] or DEFAULT_WORDS
     system = system_of(found)
@@ -112,7 +123,7 @@ def make_localize_options(
         found.facts.get('controller_sha256', ''), 'put the file back as it was',
     )
     return LocalizeOptions(
-        campaign=found, rows=rows,
+        campaign=found, examined=examined, rows=rows,
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
         perception=_network(found, perception), workers=workers,
         out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
@@ -130,14 +141,14 @@ def localize(
         interrupted: returns whether to start no more trials.
 
     Returns:
-        The requested trials that are complete.
+        The requested trials that are complete, judged by the requirement looked into.
 
     Raises:
         UsageError: the folder cannot be used, or contains trials of another campaign.
         InfraError: worker processes end one after the other.
     """
     system, judging = options.system, options.campaign.judging
-    rows = {row.run_id: row for row in options.rows}
+    rows, spec = {row.run_id: row for row in options.rows}, options.examined.spec
 
     @functools.cache
     def scene(run_id: str) -> Scene:
@@ -160,13 +171,18 @@ def localize(
     with TrialRecord(options.out, settings, 'contains trials of another campaign or network') as (
         record
     ):
+        # Those of older versions have the headline only.
+        record.done = {
+            key: trial for key, trial in record.done.items()
+            if len(trial.others) == len(judging.specs) - 1
+        }
         done = itertools.count(sum(key in record.done for key in names))
         on_trial(next(done))
         found = record.make(
             {key: functools.partial(task, *name) for key, name in names.items()}, options.workers,
             lambda: on_trial(next(done)), interrupted,
         )
-        return {names[key]: trial for key, trial in found.items()}
+        return {names[key]: trial.about(spec) for key, trial in found.items()}
 
 
 def _network(campaign: RecordedCampaign, given: str | None) -> str:

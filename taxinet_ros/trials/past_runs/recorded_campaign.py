@@ -21,6 +21,7 @@ from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.system import System
 from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.verdict.examined import Examined, examine_runs
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
@@ -82,6 +83,19 @@ class RecordedCampaign:
     def judging(self) -> Judging:
         """Judging options; ``specs`` is empty if not recorded."""
         return Judging.from_facts(self.facts)
+
+    def examine(self, spec: str | None = None) -> Examined:
+        """The requirement to look into, of those that decided the outcomes.
+
+        Args:
+            spec: its name, if one was asked for.
+
+        Raises:
+            UsageError: the runs were not judged by it.
+        """
+        judged = [row.robustness for row in self.judged]
+        names = tuple(self.facts.get('specs') or (judged[0] if judged else ('',)))
+        return examine_runs(names, judged, asked=spec, where=str(self.folder))
 
     @property
     def gains(self) -> Mapping[str, float]:
@@ -222,6 +236,11 @@ class JudgedRun(System):
     def headline(self) -> str:
         """Name of the first formula."""
         return parse_spec(self.specs[0]).name
+
+    def examine(self, spec: str | None = None) -> Examined:
+        """The requirement to look into; arguments and errors as of a campaign."""
+        names = Judging(specs=self.specs).names or ('',)
+        return examine_runs(names, [self.robustness], asked=spec, where=self.run_id)
 
 
 def find_run(path: Path) -> JudgedRun:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -44,6 +44,7 @@ class Trial:
         detail: reason why it could not be judged.
         exact: whether its scene was bit-exact, so that it must reproduce the recorded result.
         robustness: robustness of the headline; exact unless the run was stopped early.
+        others: the same of the other formulas, by name.
         max_cross_track_m, settle_time_s, left_runway: as of :class:`.RunRow`; None if unknown.
         seen: what the observer of the task saw.
     """
@@ -54,6 +55,7 @@ class Trial:
     detail: str = ''
     exact: bool = True
     robustness: RobustnessInterval | None = None
+    others: Mapping[str, RobustnessInterval] = field(default_factory=dict)
     max_cross_track_m: float | None = None
     settle_time_s: float | None = None
     left_runway: bool | None = None
@@ -63,11 +65,13 @@ class Trial:
     def of(cls, task: Task, result: RunResult) -> Self:
         """The trial of a task that has ended."""
         judged = result.outcome.judged
+        others = dict(result.robustness)
+        headline = others.pop(next(iter(others))) if others else None
         return cls(
             run_id=task.run_id, word=task.word, exact=task.exact,
             passed=result.outcome is Outcome.PASS if judged else None,
             detail='' if judged else f'{result.who}: {result.detail}',
-            robustness=next(iter(result.robustness.values()), None), **path_figures(result),
+            robustness=headline, others=others, **path_figures(result),
             seen=result.seen,
         )
 
@@ -76,9 +80,22 @@ class Trial:
         """Whether it has a verdict."""
         return self.passed is not None
 
+    def about(self, spec: str) -> Self:
+        """The trial as judged by one of several formulas alone; the headline if not in others."""
+        if self.passed is None or not self.others:
+            return self
+        known = self.others.get(spec, self.robustness)
+        decided = known is not None and known.decided
+        return replace(
+            self, robustness=known, passed=known.satisfied if known and decided else None,
+            detail='' if decided else f'stopped before {spec} was decided',
+        )
+
     def to_json(self) -> dict[str, Any]:
         """Plain values; the inverse of :meth:`from_json`."""
         values = asdict(self)
+        if not self.others:
+            del values['others']
         values['rho_lower'], values['rho_upper'] = values.pop('robustness') or (None, None)
         if not self.seen:
             del values['seen']
@@ -93,7 +110,13 @@ class Trial:
         """
         columns = dict(values)
         ends = columns.pop('rho_lower'), columns.pop('rho_upper')
-        return cls(**columns, robustness=None if None in ends else RobustnessInterval(*ends))
+        others = {
+            name: RobustnessInterval(*one) for name, one in columns.pop('others', {}).items()
+        }
+        return cls(
+            **columns, robustness=None if None in ends else RobustnessInterval(*ends),
+            others=others,
+        )
 
 
 class TrialPool(contextlib.ExitStack):

@@ -28,6 +28,7 @@ from taxinet_ros.core.scenario_fields import (
 )
 from taxinet_ros.core.signals import checked_signals
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.verdict.examined import decisive
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 
@@ -342,6 +343,16 @@ class RunRow(_SceneColumns):
     def headline(self) -> RobustnessInterval | None:
         """The robustness of the first formula."""
         return next(iter(self.robustness.values()), None)
+
+    @property
+    def decisive(self) -> str:
+        """The formula that a judged run is shown by: the headline unless only another failed."""
+        return decisive(self.robustness)
+
+    def about(self, spec: str) -> Self:
+        """The judged row with another of its formulas as the headline, before the others."""
+        return dataclasses.replace(
+            self, robustness={spec: self.robustness[spec], **self.robustness})
 
     @classmethod
     def of_run(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
+from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.trials.engine import Engine, Proposer, with_workers
@@ -56,22 +58,27 @@ class Shrinking(Proposer):
         run: the failed run.
         space: the scenarios that may be run.
         headline: name of the formula that must stay violated.
+        told: what is said of it and of the others that the run violates, in sentences.
         search: search state.
         judged: the judged run of each point asked for.
     """
 
     patience, runs = 1, None
 
-    def __init__(self, run: JudgedRun, space: ShrinkSpace, campaign: CampaignOptions) -> None:
+    def __init__(
+        self, run: JudgedRun, space: ShrinkSpace, campaign: CampaignOptions,
+        told: Sequence[str] = (),
+    ) -> None:
         """Create it; nothing is written.
 
         Args:
             run: the failed run.
             space: the scenarios that may be run.
             campaign: options of the runs; ``runs`` limits those of the search.
+            told: see the class.
         """
         self.run, self.space, self.campaign = run, space, campaign
-        self.headline = campaign.judging.headline
+        self.headline, self.told = campaign.judging.headline, tuple(told)
         self.source: AbstractContextManager[None] = contextlib.nullcontext()
         self.search = ShrinkSearch(
             [one.axis for one in space.moving], most=campaign.runs, rule=space.possible
@@ -159,7 +166,8 @@ def make_shrinking(
         out: as there.
         perception: perception, if not the run's.
         controller: controller, if not the run's.
-        specs: formulas as text; the run's if empty.
+        specs: formulas as text; if empty the run's, the one to look into first. The name of one of
+            several of the run's names that one.
         nominal: ``key=value`` of the nominal scenario.
         images: record ``all`` or ``none`` of the camera frames.
         resume: as there.
@@ -178,7 +186,15 @@ def make_shrinking(
             f'{path}: {why}, so nothing tells a scenario that matters from chance; shrink a run '
             'in lockstep'
         )
-    _check_failed(path, run, other_specs=bool(specs))
+    several = Judging(specs=run.specs).names if len(run.specs) > 1 else ()
+    asked = specs[0] if len(specs) == 1 and specs[0] in several else None
+    _check_failed(path, run, asked, other_specs=bool(specs) and asked is None)
+    told: Sequence[str] = ()
+    if run.specs and (asked or not specs):
+        examined = run.examine(asked)
+        specs = Judging(specs=run.specs).headed_by(examined.spec).specs
+        told = tuple(filter(None, [
+            examined.chosen, examined.also(f'taxinet shrink {shlex.quote(str(path))}')]))
     space = make_shrink_space(run.scenario, nominal)
     if out is None and not resume:
         out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
@@ -196,23 +212,24 @@ def make_shrinking(
         )
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, out=out, images=images, resume=resume,
-        perception=perception, controller=controller, specs=specs or run.specs, world=run.world,
+        perception=perception, controller=controller, specs=specs, world=run.world,
         **others,
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     campaign = dataclasses.replace(campaign, gains=gains, timing=run.timing)
-    return Shrinking(run, space, with_workers(campaign, workers, cluster))
+    return Shrinking(run, space, with_workers(campaign, workers, cluster), told)
 
 
-def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
+def _check_failed(path: Path, run: JudgedRun, asked: str | None, *, other_specs: bool) -> None:
     if not run.outcome.judged:
         raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
     if other_specs:
         return
-    interval = run.robustness.get(run.headline)
+    spec = run.examine(asked).spec
+    interval = run.robustness.get(spec)
     if interval is not None and interval.satisfied:
         raise UsageError(
-            f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
+            f'{path}: satisfied {spec} with {interval.words(".2f")}; name a run that '
             'failed, or a formula that it failed'
         )
 

@@ -502,9 +502,9 @@ def test_given_any_setting_then_the_command_of_a_cause_has_it(tmp_path):
     assert dict.fromkeys(zip(words[::2], words[1::2], strict=True)) == dict.fromkeys([
         ('--runs', '100'), ('--seed', '1000007'), ('--images', 'none'),
         ('--perception', 'taxinet'), ('--world', 'salt_lake'),
-        ('--spec', 'phi=always((abs(cte) <= 8))'), ('--stop-on', 'decided'),
-        # Of the speed no bound: without the requirement that reads it, it would be refused.
-        ('--bound', 'cte=-25:25'), ('--rate', 'cte=3'),
+        ('--spec', 'phi=always((abs(cte) <= 8))'), ('--spec', 'other=always((speed <= 9))'),
+        ('--stop-on', 'decided'), ('--bound', 'cte=-25:25'), ('--bound', 'speed=0:9'),
+        ('--rate', 'cte=3'),
         ('--set', 'steering.cte_gain_rad_per_m=0.25'), ('--set', 'steering.heading_gain=1.25'),
         ('--latency', 'perception=0.2'),
     ])

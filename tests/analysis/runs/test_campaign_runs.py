@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planted_runs import planted_runs, planted_table, record_facts
 
-from taxinet_ros.analysis.campaign.report import TEXT
+from taxinet_ros.analysis.campaign.findings import analyse
+from taxinet_ros.analysis.campaign.report import TEXT, campaign_report
 from taxinet_ros.analysis.report.text import sentences
 from taxinet_ros.analysis.runs.campaign import (
     GroupRate,
@@ -20,6 +21,7 @@ from taxinet_ros.analysis.runs.campaign import (
     difference,
     distinct_labels,
     group_rate,
+    read_examined,
     read_runs,
 )
 from taxinet_ros.analysis.runs.features import BY_NAME
@@ -278,3 +280,34 @@ def test_ros10_given_runs_that_passed_blind_when_read_then_summary_and_json_coun
         'Warning: 2 runs passed with more than 5 % of their frames without a usable estimate.'
     )
     assert planted_runs(frame.drop(columns=['steps']), tmp_path).blind == 0
+
+
+def test_given_no_violation_of_the_headline_then_what_most_runs_violate_is_looked_into(tmp_path):
+    frame = table(20).assign(rho_phi=1.0, rho=1.0, outcome='PASS')
+    frame['rho_near'] = np.where(frame['index'] < 3, -1.0, 1.0)
+    frame['rho_clear'] = np.where(frame['index'] < 5, -2.0, 1.0)
+    frame.loc[:4, 'outcome'] = 'FAIL'
+    path = tmp_path / 'c.parquet'
+    frame.to_parquet(path)
+    found = read_examined(path)
+    assert (found.spec, found.rate().failures) == ('clear', 5)
+    assert dict(found.examined.violated) == {'phi': 0, 'near': 3, 'clear': 5}
+    first, *_, last = campaign_report(analyse(found)).summary[:-1]
+    assert first == 'No run violates phi; looked into: clear, violated by 5 of 20 runs.'
+    assert last == (
+        f'Runs also violate near (3 of 20); look into that by: taxinet analyze {path} --spec near.')
+    assert read_runs(path).spec == 'phi'
+    assert read_examined(path, 'near').rate().failures == 3
+    with pytest.raises(UsageError, match=r'spec none: not judged in .*; known: phi, near, clear'):
+        read_examined(path, 'none')
+
+
+def test_given_a_requirement_added_later_then_it_is_looked_into_if_asked_for(tmp_path):
+    frame = table(20).assign(rho_phi=1.0, rho=1.0, outcome='PASS')
+    frame['rho_added'] = -1.0
+    record_facts(tmp_path, specs={'phi': 'always(cte < 2)'})
+    path = tmp_path / 'runs.parquet'
+    frame.to_parquet(path)
+    found = read_examined(path)
+    assert (found.spec, found.examined.also('')) == ('phi', '')
+    assert read_examined(path, 'added').rate().failures == 20

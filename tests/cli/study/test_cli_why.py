@@ -140,6 +140,50 @@ def test_given_a_campaign_whose_runs_are_all_lost_at_once_then_no_network_is_bla
     assert 'all runs fail, so causes cannot be distinguished' in found.troubles['causes']
 
 
+TWO = ('near=eventually(abs(cte) <= 9)', 'far=always(abs(cte) >= 3)')
+"""The first is satisfied by all runs, the second is violated at the first sample."""
+
+
+def test_given_a_campaign_that_satisfies_its_headline_then_what_it_violates_is_looked_into(
+    tmp_path, taxinet, monkeypatch, capfd
+):
+    folder = tx.falsify(
+        'nominal', runs=2, perception='truth', specs=TWO, settings={'duration_s': 1},
+        out=tmp_path / 'c',
+    ).folder
+    found, stages = looked_into(folder, tmp_path)
+    assert stages.done == ['analyze', 'localize', 'shrink']
+    assert (found.spec, found.blames, found.failed) == ('far', Blames(requirement=2), 2)
+    verdict = judge(found)
+    assert verdict.sentences[0].startswith(
+        'No run violates near; looked into: far, violated by 2 of 2 runs. The requirement far, ')
+    assert found.settings.judging.names == ('far', 'near')
+
+    # Asked for the headline, it says that another is violated, and by what that is looked into.
+    monkeypatch.chdir(tmp_path)
+    capfd.readouterr()
+    code, said, _ = taxinet('why', 'c', '--spec', 'near', '--out', 'page', '--json')
+    told = json.loads(said)
+    assert (code, told['verdict'], told['spec']) == (0, 'nothing failed', 'near')
+    assert told['sentences'][0] == 'All 2 judged runs satisfy near.'
+    assert told['sentences'][-1] == (
+        'Runs violate far (2 of 2); look into that by: taxinet why c --spec far.')
+    assert told['sentences'][-1] in (tmp_path / 'page' / 'why.html').read_text()
+
+
+@pytest.mark.parametrize('asked', [None, 'far'])
+def test_given_a_run_that_satisfies_its_headline_then_what_it_violates_is_looked_into(
+    asked, tmp_path
+):
+    bag = tx.run(tx.Scenario(cross_track_m=1.0, duration_s=1.0), perception='truth',
+                 specs=TWO).save_bag(tmp_path / 'runs' / 'one', images=False)
+    found, stages = looked_into(bag, tmp_path, spec=asked)
+    assert (found.spec, found.blames, stages.done) == ('far', Blames(requirement=1), ['shrink'])
+    first, *_ = judge(found).sentences
+    assert first.startswith('The run does not violate near; looked into: far.') is (asked is None)
+    assert 'The requirement far' in first
+
+
 def test_given_weights_that_are_gone_then_the_verdict_is_unclear_and_says_which(
     tmp_path
 ):

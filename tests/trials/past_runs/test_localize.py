@@ -17,6 +17,7 @@ from taxinet_ros.analysis.fault_localisation import (
     Suffices,
     judge_case,
     localisation,
+    localisation_json,
     localisation_sentences,
 )
 from taxinet_ros.core.perception.perception import check_perception
@@ -264,7 +265,8 @@ def test_given_a_perception_that_ends_its_process_in_a_scene_then_its_trials_alo
     assert {name for name, trial in done.items() if not trial.judged} == lost
     assert {done[name].detail for name in lost} == {why}
     found = localisation(
-        asked.campaign, rows, done, words=asked.words, perception=asked.perception)
+        asked.campaign, rows, done, words=asked.words, perception=asked.perception,
+        examined=asked.examined)
     assert [case.blame for case in found.cases] == [
         Blame.CONTROLLER, Blame.UNKNOWN, Blame.CONTROLLER]
     told = ' '.join(localisation_sentences(found))
@@ -303,6 +305,46 @@ def test_given_bad_input_then_one_line_says_what_is_wrong(off, tmp_path, campaig
     with pytest.raises(UsageError, match=words) as error:
         options(off.parent / campaign, tmp_path / 'out', **changes)
     assert '\n' not in str(error.value)
+
+
+def test_given_a_violated_requirement_that_is_not_the_first_then_that_one_is_looked_into(tmp_path):
+    specs = {'low': 'always(cte <= 99)', 'far': 'always(abs(cte) >= 6)', SPEC: FORMULA}
+    judging = Judging(specs=tuple(f'{name}={text}' for name, text in specs.items()))
+    system, loop, rows = System(perception='truth', gains=LOCKED), Loop(), []
+    for index, scene in enumerate(OFF[:2]):
+        row = row_of(scene, index, 'truth')
+        task = Scene(row=row, scenario=scene, exact=True).task(system, judging)
+        result = loop.run(task)
+        assert Trial.from_json(Trial.of(task, result).to_json()) == Trial.of(task, result)
+        rows.append(dataclasses.replace(
+            row, outcome=result.outcome, robustness=result.robustness, stopped_early=False))
+    write_campaign(tmp_path / 'c', rows, {
+        'program': 's_falsif.scenic', 'seed': 3, 'runs': 2, 'perception': 'truth',
+        'specs': specs, 'gains': LOCKED, 'stop_on': 'never',
+    })
+    assert [[name for name, rho in row.robustness.items() if rho.failed] for row in rows] == [
+        ['far', SPEC]] * 2
+    asked = options(tmp_path / 'c', tmp_path / 'out', words=['truth'])
+    done = localize(asked, ignore, never)
+    assert {trial.robustness for trial in done.values()} == {
+        row.robustness['far'] for row in rows}
+    found = localisation(
+        asked.campaign, asked.rows, done, words=asked.words, perception='truth',
+        examined=asked.examined)
+    assert [case.blame for case in found.cases] == [Blame.CONTROLLER] * 2
+    first, *_ = told = localisation_sentences(found)
+    assert first == 'No run violates low; looked into: far, violated by 2 of 2 runs.'
+    assert (f'Runs also violate {SPEC} (2 of 2); look into that by: taxinet localize '
+            f'{tmp_path / "c"} --spec {SPEC}.') in told
+    assert localisation_json(found)['spec'] == 'far'
+    # Another requirement is told from the same trials.
+    other = options(tmp_path / 'c', tmp_path / 'out', words=['truth'], spec=SPEC)
+    counts: list[int] = []
+    again = localize(other, counts.append, never)
+    assert counts == [4]
+    assert {trial.robustness for trial in again.values()} == {row.robustness[SPEC] for row in rows}
+    with pytest.raises(UsageError, match='none of its 2 judged runs violates low'):
+        options(tmp_path / 'c', tmp_path / 'out', spec='low')
 
 
 def test_given_runs_that_passed_then_there_is_nothing_to_localise(tmp_path):

@@ -21,7 +21,13 @@ from taxinet_ros.trials.rates import failure_rate, off_runway_rate
 from taxinet_ros.trials.record.content import read_campaign
 from taxinet_ros.trials.record.row import RunRow
 from taxinet_ros.trials.record.table import read_table
-from taxinet_ros.trials.summary import Summary, campaign_summary, row_line
+from taxinet_ros.trials.summary import (
+    Summary,
+    campaign_summary,
+    row_line,
+    summary_json,
+    worst_words,
+)
 
 SPECS = ('phi_eventually', 'near')
 
@@ -104,6 +110,28 @@ def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told
     assert Summary(rows[1:]).stopped_words() == []
     words = campaign_summary(Summary(rows), falsify_samples.options(tmp_path).campaign)
     assert '0 off the runway before they were stopped' in words
+
+
+def test_given_a_run_that_violates_another_formula_than_the_headline_then_that_is_named(tmp_path):
+    def judged(index, **rho):
+        return dataclasses.replace(
+            row(index, stopped=False), robustness=exact_intervals(rho),
+            outcome=Outcome.PASS if min(rho.values()) > 0 else Outcome.FAIL)
+
+    other, headline = judged(0, near=2.0, clear=-3.0), judged(1, near=-1.0, clear=-4.0)
+    passed = judged(2, near=5.0, clear=6.0)
+    line = row_line(other).plain
+    assert 'FAIL  rho   -3.00 ' in line
+    assert ' m  clear ' in line
+    assert 'FAIL  rho   -1.00 ' in row_line(headline).plain
+    assert 'PASS  rho   +5.00 ' in row_line(passed).plain
+    assert not any('clear ' in row_line(one).plain[:45] for one in (headline, passed))
+    options = falsify_samples.options(tmp_path).campaign
+    worst = summary_json(Summary([passed, headline, other]), options, None)['worst']
+    assert (worst['run_id'], worst['spec'], worst['rho']['upper']) == (other.run_id, 'clear', -3.0)
+    assert worst_words(other) == 'rho -3.00 of clear'
+    worst = summary_json(Summary([passed, headline]), options, None)['worst']
+    assert (worst['rho']['upper'], 'spec' in worst) == (-1.0, False)
 
 
 @pytest.mark.parametrize('made', [

@@ -70,9 +70,10 @@ def campaign(folder: Path, scenario: Scenario = WET, **changes: Any) -> Path:
     request = RunRequest(run_id='p-s7-00000', index=0, program='p', seed=7, scenario=scenario,
                          judging=Judging(specs=(NAME,)), participants=())
     result = judged(request, changes.pop('outcome', None))
+    specs = changes.pop('specs', {NAME: 'eventually[0:10](always(abs(cte) <= 1.5))'})
     row = RunRow.of_run(request, result, perception='truth', sim_s=1.0)
     write_campaign(folder, [dataclasses.replace(row, **changes)], {
-        'specs': {NAME: 'eventually[0:10](always(abs(cte) <= 1.5))'},
+        'specs': specs,
         'gains': {'heading_gain': 1.5},
     })
     return folder / request.run_id
@@ -108,6 +109,21 @@ NEAREST = {
     'cross_track_m': 0.0, 'heading_deg': 0.0, 'clouds': 'broken', 'rain_percent': 31.0,
     'time_of_day_h': 10.0, 'distance_m': 700.0,
 }
+
+
+def test_given_a_run_that_satisfies_its_headline_then_what_it_violates_is_shrunk(tmp_path):
+    path = campaign(
+        tmp_path / 'c', robustness=exact_intervals({'low': 2.0, NAME: -1.0}),
+        specs={'low': 'always(cte <= 99)', NAME: 'eventually[0:10](always(abs(cte) <= 1.5))'},
+    )
+    chosen = options(path, tmp_path / 'out')
+    assert chosen.headline == NAME
+    assert chosen.campaign.judging.names == (NAME, 'low')
+    assert chosen.told == (f'the run does not violate low; looked into: {NAME}',)
+    named = options(path, tmp_path / 'out', specs=[NAME])
+    assert (named.campaign.judging, named.told) == (chosen.campaign.judging, ())
+    with pytest.raises(UsageError, match='satisfied low with'):
+        options(path, tmp_path / 'out', specs=['low'])
 
 
 @pytest.mark.parametrize('workers', [
