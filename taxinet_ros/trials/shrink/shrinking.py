@@ -179,7 +179,6 @@ def make_shrinking(
             'in lockstep'
         )
     _check_failed(path, run, other_specs=bool(specs))
-    space = make_shrink_space(run.scenario, nominal)
     if out is None and not resume:
         out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
     if perception is None:
@@ -199,6 +198,7 @@ def make_shrinking(
         perception=perception, controller=controller, specs=specs or run.specs, world=run.world,
         **others,
     )
+    space = make_shrink_space(run.scenario, nominal, campaign.judging.parsed_specs)
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     campaign = dataclasses.replace(campaign, gains=gains, timing=run.timing)
     return Shrinking(run, space, with_workers(campaign, workers, cluster))
