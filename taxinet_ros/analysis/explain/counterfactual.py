@@ -232,12 +232,13 @@ def _without_faults(
 
 def _without_gnss_faults(scenario: Scenario) -> list[_Wanted]:
     """A scene without each fault of its GNSS; those that it does not have change nothing."""
-    return [
-        (one.key, f'without the {one.title}', f"the fault '{one.title}'",
-         dataclasses.replace(scenario, **dict.fromkeys((one.attribute, *with_it), 0.0)))
-        for one, *with_it in (
-            (GNSS_NOISE,), (GNSS_BIAS,), (GNSS_DROPOUT, GNSS_DROPOUT_START.attribute))
-    ]
+    found = []
+    for fields in ((GNSS_NOISE,), (GNSS_BIAS,), (GNSS_DROPOUT, GNSS_DROPOUT_START)):
+        none: dict[str, Any] = {field.attribute: field.absent for field in fields}
+        title = fields[0].title
+        found.append((fields[0].key, f'without the {title}', f"the fault '{title}'",
+                      dataclasses.replace(scenario, **none)))
+    return found
 
 
 def _different(scenario: Scenario, wanted: Sequence[_Wanted]) -> tuple[Factor, ...]:

@@ -360,7 +360,9 @@ def parameter_table(report: Report) -> Table:
     """Every parameter with its three values, and whether it matters."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column('parameter', no_wrap=True)
-    for name in ('original', 'nominal', 'shrunk', 'rho in\noriginal', 'rho in\nshrunk'):
+    for name in ('original', 'nominal', 'shrunk'):
+        table.add_column(name, justify='right')  # words of several objects take several lines
+    for name in ('rho in\noriginal', 'rho in\nshrunk'):
         table.add_column(name, justify='right', no_wrap=True)
     table.add_column('verdict', no_wrap=True)
     for one in report.findings:

@@ -261,6 +261,24 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
 
 
 @pytest.mark.nightly
+def test_given_others_and_faults_when_printed_then_keys_are_whole_on_80_columns(tmp_path):
+    kinds = ('vehicle', 'person', 'cone', 'hold_line', 'patch')
+    failing = dataclasses.replace(
+        WET, sensors='standard', gnss_dropout_s=9.7, steering_rate_limit_radps=0.1,
+        traffic=load_traffic([{'kind': kind, 'x_m': 900 + 9 * k, 'y_m': 0}
+                              for k, kind in enumerate(kinds)]),
+    )
+    found = make_report(options(campaign(tmp_path / 'c', failing), tmp_path / 'out'))
+    lines = screen(found)
+    assert {line.split()[0] for line in lines if line[:1].strip()} == {
+        'parameter', *(one.key for one in found.findings)}
+    assert not any('…' in line or '@' in line for line in lines)
+    assert max(map(len, lines)) <= 80
+    whole = ' '.join(' '.join(lines).split())
+    assert '1 vehicle' in whole
+    assert 'hold line' in whole
+
+
 def test_given_a_shrinking_that_was_cut_short_then_only_what_was_run_passes_or_matters(tmp_path):
     """A value that fails too was printed as one that passes (rho -0.50)."""
     for runs in range(2, 30):
