@@ -356,15 +356,23 @@ def shrink_heading(shrinking: Shrinking) -> str:
     )
 
 
+_LONG_KEY = 20
+"""Longer names of parameters leave less room between columns of a terminal of 80."""
+
+
 def parameter_table(report: Report) -> Table:
     """Every parameter with its three values, and whether it matters."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    long = max(len(one.key) for one in report.findings) > _LONG_KEY
+    table = Table(box=None, pad_edge=False, padding=(0, 1 if long else 2, 0, 0))
     table.add_column('parameter', no_wrap=True)
     for name in ('original', 'nominal', 'shrunk'):
-        table.add_column(name, justify='right')  # words of several objects take several lines
+        words = [name, *(one.words(getattr(one, name)) for one in report.findings)]
+        # Several objects take several lines.
+        table.add_column(
+            name, justify='right', min_width=max(map(len, ' '.join(words).split())))
     for name in ('rho in\noriginal', 'rho in\nshrunk'):
         table.add_column(name, justify='right', no_wrap=True)
-    table.add_column('verdict', no_wrap=True)
+    table.add_column('verdict')
     for one in report.findings:
         verdict = _MATTERS[one.matters]
         if one.original == one.nominal:
