@@ -48,8 +48,8 @@ def view_worst(view: RunView, rho: float | None) -> dict[str, Any]:
     decides = view.deciding
     meaning = 'The band is the tolerance, lines are the edges of the pavement.'
     if decides is not None:
-        number = f'{view.signals[decides.signal][decides.row]:.2f}'.removesuffix('.00')
-        value = f'{number} {signal_unit(decides.signal)}'
+        shown = f'{view.signals[decides.signal][decides.row]:.2f}'.removesuffix('.00')
+        value = f'{shown} {signal_unit(decides.signal)}'
         meaning = (
             f'{decides.spec} is decided at {time_words(view.t_s[decides.row])}, where '
             f'{decides.signal} is {value.strip()}.'.replace('-', '−')
