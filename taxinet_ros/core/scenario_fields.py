@@ -35,7 +35,7 @@ from taxinet_ros.core.place.track import RUNWAY_TRACK
 from taxinet_ros.core.rig.camera_model import MOST_OFFSET_DEG, MOST_OFFSET_M
 from taxinet_ros.core.rig.catalogue import AIRCRAFT, CAMERAS
 from taxinet_ros.core.sensors import LONGEST_S, MOST_BIAS_M, MOST_NOISE_M, SENSOR_SETS
-from taxinet_ros.core.traffic.traffic_file import OTHERS
+from taxinet_ros.core.traffic.traffic_file import OTHERS, traffic_words
 from taxinet_ros.core.units import typed_number
 from taxinet_ros.errors import UsageError, near_miss
 
@@ -258,6 +258,8 @@ class ScenarioField:
             return clock_words(value)
         if self.kind is Kind.SWITCH:
             return 'on' if value else 'off'
+        if self is TRAFFIC:
+            return traffic_words(str(value))
         if self.kind is not Kind.NUMBER:
             return str(value)
         number = self.form.format(value)
@@ -510,22 +512,22 @@ SENSORS = ScenarioField(
 )
 GNSS_NOISE = ScenarioField(
     key='gnss_noise_m', short='gnss_noise', attribute='gnss_noise_m',
-    title='noise of the GNSS, in place of its own', unit='m', form='{:.2f}', low=0.0,
-    high=MOST_NOISE_M, si_unit='m', absent=0.0, carrier=CAMERA.attribute,
+    title='GNSS noise', unit='m', form='{:.2f}', low=0.0, high=MOST_NOISE_M, si_unit='m',
+    counted=', 0 for its own', absent=0.0, carrier=CAMERA.attribute,
 )
 GNSS_BIAS = ScenarioField(
     key='gnss_bias_m', short='gnss_bias', attribute='gnss_bias_m',
-    title='offset of the GNSS to the left, in place of its own', unit='m', form='{:+.2f}',
-    low=-MOST_BIAS_M, high=MOST_BIAS_M, si_unit='m', absent=0.0, carrier=CAMERA.attribute,
+    title='GNSS offset to the left', unit='m', form='{:+.2f}', low=-MOST_BIAS_M, high=MOST_BIAS_M,
+    si_unit='m', counted=', 0 for its own', absent=0.0, carrier=CAMERA.attribute,
 )
 GNSS_DROPOUT_START = ScenarioField(
     key='gnss_dropout_start_s', short='gnss_dropout_start', attribute='gnss_dropout_start_s',
-    title='start of a drop-out of the GNSS', unit='s', form='{:.1f}', low=0.0, high=LONGEST_S,
+    title='start of the GNSS drop-out', unit='s', form='{:.1f}', low=0.0, high=LONGEST_S,
     si_unit='s', absent=0.0, carrier=CAMERA.attribute,
 )
 GNSS_DROPOUT = ScenarioField(
     key='gnss_dropout_s', short='gnss_dropout', attribute='gnss_dropout_s',
-    title='length of a drop-out of the GNSS', unit='s', form='{:.1f}', low=0.0, high=LONGEST_S,
+    title='GNSS drop-out', unit='s', form='{:.1f}', low=0.0, high=LONGEST_S,
     si_unit='s', absent=0.0, carrier=CAMERA.attribute,
 )
 GNSS_FIELDS = (GNSS_NOISE, GNSS_BIAS, GNSS_DROPOUT_START, GNSS_DROPOUT)

@@ -59,7 +59,7 @@ from taxinet_ros.scenes.values import OVERRIDES
 WEATHER = (SKY.key, RAIN.key)
 """The two interdependent weather keys: rain falls from rain clouds only."""
 
-_NEEDS = {
+NEEDS = {
     WIND_DIRECTION.key: {WIND_SPEED.key}, GUST_SEED.key: {GUST.key},
     FAULT_ONSET.key: {field.key for field in FAULTS},
     FAULT_SEED.key: {SENSORS.key, *(field.key for field in DRAWN_FAULTS)},
@@ -248,14 +248,21 @@ def without_idle(
     """The drawn values but those without effect where a key in ``changing`` happens to be 0."""
     present = {
         split_point(name)[0] for name, value in {**drawn, **overrides}.items()
-        if value not in (0, '0') and split_point(name)[1] != FORM
+        if not _is_zero(value) and split_point(name)[1] != FORM
     }
     moving = {split_point(name)[0] for name in (*changing, *overrides)}
     return {
         key: value for key, value in drawn.items()
-        if key in overrides or not (needs := _NEEDS.get(split_point(key)[0], set())) & moving
+        if key in overrides or not (needs := NEEDS.get(split_point(key)[0], set())) & moving
         or needs & present
     }
+
+
+def _is_zero(value: Any) -> bool:
+    try:
+        return float(value) == 0  # also the texts 0.0 and -0
+    except (TypeError, ValueError):
+        return False
 
 
 def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) -> None:

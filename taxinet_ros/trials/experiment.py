@@ -34,12 +34,19 @@ from pathlib import Path
 from taxinet_ros.core.assurance.switch import check_controller
 from taxinet_ros.core.motion.controller import STEERING, SteeringGains
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, SHORT_FORMS, by_key, by_value
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    HUMAN_KEYS,
+    SHORT_FORMS,
+    by_key,
+    by_value,
+    split_point,
+)
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 from taxinet_ros.samplers.registry import check_sampler
-from taxinet_ros.scenes.overrides import check_overrides
+from taxinet_ros.scenes.overrides import NEEDS, check_overrides
 from taxinet_ros.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.scenes.programs import find_document, find_program, shipped_documents
 from taxinet_ros.trials.engine import with_workers
@@ -372,7 +379,7 @@ def check_paired(
                 continue  # no scene was drawn, or not yet
             for key in {**row.scene, **other.scene}:
                 value, there = row.scene.get(key), other.scene.get(key)
-                if key not in free and value != there:
+                if value != there and free.isdisjoint((key, *NEEDS.get(split_point(key)[0], ()))):
                     raise UsageError(
                         f'experiment {experiment.name}: run {row.index} has {key} '
                         f'{value} in {arm.name} and {there} in {first}, '

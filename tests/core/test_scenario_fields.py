@@ -165,6 +165,8 @@ def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyo
         ('gust_seed', 7.0, '7'), ('lens_dirt_percent', 20.0, '20 %'),
         ('exposure_jump_ev', -1.5, '-1.5 EV'), ('steering_bias_deg', 2.0, '+2.0 deg'),
         ('steering_rate_limit_degps', 5.0, '5.0 °/s'), ('fault_onset_s', 3.0, '3.0 s'),
+        ('traffic', 'nobody', 'nobody'), ('traffic', '1_objects@000000000000', '1 object'),
+        ('traffic', '3_objects@000000000000', '3 objects'),
     ],
 )
 def test_given_a_value_in_human_units_when_said_then_with_its_unit(key, value, words):

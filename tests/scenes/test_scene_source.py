@@ -347,6 +347,7 @@ def test_values_that_have_no_effect_in_some_scenes_reject_none_of_them(write: An
 @pytest.mark.parametrize(('overrides', 'changing', 'kept'), [
     ({}, {'wind_speed_mps'}, False),
     ({'wind_speed_mps': '0'}, {'wind_direction_deg'}, False),
+    ({'wind_speed_mps': '0.0'}, {'wind_direction_deg'}, False),
     ({'wind_speed_mps': '5'}, {'wind_direction_deg'}, True),
     ({}, {'wind_direction_deg'}, True),
     ({'wind_direction_deg': '90'}, {'wind_speed_mps'}, True),

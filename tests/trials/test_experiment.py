@@ -203,6 +203,13 @@ def test_given_arms_with_other_scenes_then_they_are_not_compared(tmp_path):
     check_paired(one, same)
     with pytest.raises(UsageError, match=r'run 1 has heading_deg 3.0 in b and 0.0 in a'):
         check_paired(one, {**same, 'b': (row(0, shadows=False), row(1, heading_deg=3.0))})
+    # What has no effect without what an arm takes away is gone with it.
+    calm = read_experiment(written(
+        tmp_path, arms={'a': {'set': {'wind_speed': 5}}, 'b': {'set': {'wind_speed': 0}}}))
+    check_paired(calm, {
+        'a': (row(0, wind_speed_mps=5.0, wind_direction_deg=40.0),),
+        'b': (row(0, wind_direction_deg=0.0),),
+    })
     rejected = RunRow(run_id='r-1', index=1, program='p', seed=0, perception='truth',
                       outcome=Outcome.REJECTED)
     check_paired(one, {**same, 'b': (row(0), rejected)})

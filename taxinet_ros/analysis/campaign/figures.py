@@ -24,12 +24,12 @@ from taxinet_ros.analysis.runs.bins import Bin, bins, medians
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate, Weighting
 from taxinet_ros.analysis.runs.features import (
     DISTANCE,
-    PAPER_FEATURES,
     RAIN,
     TIME_OF_DAY,
     Feature,
     Floats,
     Form,
+    shown_features,
 )
 from taxinet_ros.core.scenario_fields import clock_words
 
@@ -108,13 +108,16 @@ _COLUMNS = 2
 
 def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
     """Failure rates in bins of each feature, one panel per feature."""
-    rows = math.ceil(len(PAPER_FEATURES) / _COLUMNS)
     pooled = campaigns[0].frame
+    features = shown_features(pooled)
+    rows = math.ceil(len(features) / _COLUMNS)
 
     def draw(figure: Figure, theme: Theme) -> None:
         panels = list(figure.subplots(rows, _COLUMNS, sharey=True).flat)
         colours = network_colours(len(campaigns), theme) if len(campaigns) > 1 else [theme.failed]
-        for axes, feature in zip(panels, PAPER_FEATURES, strict=True):
+        for axes in panels[len(features):]:
+            axes.remove()
+        for axes, feature in zip(panels, features, strict=False):
             cut = bins(feature, pooled)
             for number, (runs, colour) in enumerate(zip(campaigns, colours, strict=True)):
                 values = runs.frame[feature.name].to_numpy()

@@ -13,7 +13,7 @@ from taxinet_ros.analysis.causes.causes import FoundRate
 from taxinet_ros.analysis.report.parts import Cell, Column, Table
 from taxinet_ros.analysis.runs.bins import bin_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
-from taxinet_ros.analysis.runs.features import PAPER_FEATURES
+from taxinet_ros.analysis.runs.features import shown_features
 from taxinet_ros.core.scenario_fields import clock_words
 
 _RATE = (
@@ -52,7 +52,7 @@ def rates_table(findings: Findings) -> Table:
 def bins_table(runs: CampaignRuns) -> Table:
     """Failure rates in bins of each feature."""
     rows: list[tuple[Cell, ...]] = []
-    for feature in PAPER_FEATURES:
+    for feature in shown_features(runs.frame):
         for one, rate in bin_rates(runs, feature):
             rho = runs.frame.loc[one.mask, 'rho'].median()
             rows.append((feature.title, one.label, _known(one.low), _known(one.high),

@@ -36,6 +36,11 @@ from taxinet_ros.core.scenario_fields import (
     BY_KEY,
     CAMERA_OFFSETS,
     FAULTS,
+    GNSS_BIAS,
+    GNSS_DROPOUT,
+    GNSS_DROPOUT_START,
+    GNSS_FIELDS,
+    GNSS_NOISE,
     GUST,
     PICTURE_FAULTS,
     RUNWAY_STATE,
@@ -177,10 +182,12 @@ def run_factors(scenario: Scenario) -> tuple[Factor, ...]:
     }
     nothing = dataclasses.replace(
         scenario.without_faults(*FAULTS),
-        **{**calm, 'signals': '', 'runway_state': 'dry', 'slope_fraction': 0.0},
+        **{**calm, **dict.fromkeys((field.attribute for field in GNSS_FIELDS), 0.0),
+           'signals': '', 'runway_state': 'dry', 'slope_fraction': 0.0},
     )
     wanted = [
         *_without_faults(scenario, scenario.faults, 'without any fault'),
+        *_without_gnss_faults(scenario),
         ('wind', 'without wind', 'the wind', dataclasses.replace(scenario, **calm)),
         ('friction', 'on a dry runway', f'the {scenario.surface} runway',
          dataclasses.replace(
@@ -220,6 +227,17 @@ def _without_faults(
         found.append(
             ('faults', words, 'the sum of the faults', scenario.without_faults(*faults))
         )
+    return found
+
+
+def _without_gnss_faults(scenario: Scenario) -> list[_Wanted]:
+    """A scene without each fault of its GNSS; those that it does not have change nothing."""
+    found = []
+    for fields in ((GNSS_NOISE,), (GNSS_BIAS,), (GNSS_DROPOUT, GNSS_DROPOUT_START)):
+        none: dict[str, Any] = {field.attribute: field.absent for field in fields}
+        title = fields[0].title
+        found.append((fields[0].key, f'without the {title}', f"the fault '{title}'",
+                      dataclasses.replace(scenario, **none)))
     return found
 
 

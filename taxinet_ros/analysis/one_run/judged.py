@@ -21,7 +21,13 @@ from taxinet_ros.core.mtl.explain import DECIDES, Explanation
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, time_words
-from taxinet_ros.core.verdict.judge import SpecCheck, describe_specs, signal_ranges
+from taxinet_ros.core.verdict.judge import (
+    SpecCheck,
+    check_others,
+    describe_specs,
+    reads_others,
+    signal_ranges,
+)
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import plain
 from taxinet_ros.trials.summary import requirement_lines
@@ -149,6 +155,19 @@ def check_own_read(vouched: Assumptions, bags: Sequence[Path], run: str | None) 
                     own |= {text: parse_spec(text) for text in samples.specs}
     if own:
         check_read(vouched, (spec.formula for spec in own.values()))
+
+
+def check_others_there(specs: Sequence[Spec], bags: Sequence[Path]) -> None:
+    """Refuse formulas about others on the ground where no run has any, as before a run.
+
+    Raises:
+        UsageError: see :func:`.check_others`.
+    """
+    scenarios = []
+    for bag in bags if reads_others(specs) else ():
+        with contextlib.suppress(BagError):
+            scenarios += [one.scenario for one in open_recording(bag)]
+    check_others(specs, *scenarios)
 
 
 class RequirementNotes:

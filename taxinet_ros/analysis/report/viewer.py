@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +16,29 @@ from numpy.typing import NDArray
 from taxinet_ros.analysis.report.values import plain_number, signs
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.facts import RunFacts
+from taxinet_ros.bag.run.judging import judge_spec, signals_of_specs
 from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.samples import RunSamples, run_samples
 from taxinet_ros.bag.run.trace import Column
+from taxinet_ros.core.mtl import SIGNALS, Spec, ast, parse_spec
 from taxinet_ros.core.mtl.interval import (
     lower_column,
     rho_text,
     specs_with_interval,
     upper_column,
 )
-from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
+from taxinet_ros.core.mtl.specs import (
+    CENTRELINE_TOLERANCE_M,
+    MOST_CLEARANCE_M,
+    MOST_HOLD_DISTANCE_M,
+)
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, typed_place
 from taxinet_ros.core.place.markings import Polygon, markings
 from taxinet_ros.core.place.place import Place
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.track import RUNWAY_TRACK, Track, painted_line
 from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.traffic.traffic import GroundObject
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
 
@@ -140,8 +148,29 @@ _COLUMNS = {
     'heEstimate': ('est_he_rad', 180 / math.pi), 'steering': ('steering_rad', 180 / math.pi),
 }
 """Curves by name on the page: column of the trace, and factor to metres or degrees."""
+_DRAWN = frozenset({'cte', 'cte_estimate', 'he', 'he_estimate', 'steering'})
+"""Signals among these curves."""
+_NONE_LEFT = {'clearance': MOST_CLEARANCE_M, 'hold_distance': MOST_HOLD_DISTANCE_M}
+"""Values of signals where there is nothing to be near."""
 _DECIMALS = 3
 _TELLING = ('cross track', 'heading', 'distance', 'clouds', 'rain', 'time of day')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Deciding:
+    """The sample that decides the robustness of a requirement about another signal than pose.
+
+    Attributes:
+        row: of the trace.
+        spec: name of the requirement.
+        signal: that its deciding predicate reads.
+        bound: number that this is compared with; NaN if it is not compared with one.
+    """
+
+    row: int
+    spec: str
+    signal: str
+    bound: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -160,6 +189,11 @@ class RunView:
             it is not the heading error.
         intervals: robust satisfaction interval by formula: lower and upper end for each step.
         frames: a selection of the camera frames.
+        signals: further signals that its requirements read, by name in their units; NaN where there
+            is nothing to be near.
+        hold_lines: corners of each hold line in ``map`` [m], and when it is cleared [s].
+        deciding: what decides the first requirement that is violated, else the first; None if that
+            is about pose, steering or estimates.
     """
 
     run_id: str
@@ -172,6 +206,9 @@ class RunView:
     curves: Mapping[str, Column]
     intervals: Mapping[str, tuple[Column, Column]]
     frames: Frames
+    signals: Mapping[str, Column] = field(default_factory=dict)
+    hold_lines: tuple[tuple[Polygon, float], ...] = ()
+    deciding: Deciding | None = None
 
     @property
     def summary(self) -> str:
@@ -208,6 +245,14 @@ class RunView:
                 {'name': name, 'lower': _rounded(lower), 'upper': _rounded(upper)}
                 for name, (lower, upper) in self.intervals.items()
             ],
+            'signals': [
+                {'name': name, 'unit': signal_unit(name), 'values': _rounded(values)}
+                for name, values in self.signals.items()
+            ],
+            'holdLines': [
+                {'corners': _corners(polygon), 'until': plain_number(until_s, _DECIMALS)}
+                for polygon, until_s in self.hold_lines
+            ],
             'frames': self.frames.data(),
         }
 
@@ -233,19 +278,83 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
     if not track.is_runway:
         directions = [track.pose(at)[2] for at in np.nan_to_num(trace['distance_m']).tolist()]
         curves['yaw'] = curves['he'] + np.degrees(directions)
+    t_s = np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S
+    signals, deciding = further_signals(recording, t_s)
     return RunView(
         run_id=run_id, outcome='' if facts is None else facts.outcome,
         place=place, track=track,
         crossing=facts is None or bool(facts.scene.get('crossing', True)),
         facts={} if facts is None else _words(facts),
-        t_s=np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S,
-        curves=curves,
+        t_s=t_s, curves=curves, signals=signals, deciding=deciding,
+        hold_lines=() if facts is None else tuple(
+            (_outline(one), one.until_s) for one in recording.scenario.others.hold_lines),
         intervals={
             spec: (trace[lower_column(spec)], trace[upper_column(spec)])
             for spec in specs_with_interval(trace)
         },
         frames=read_frames(recording),
     )
+
+
+def signal_unit(name: str) -> str:
+    """Unit of a signal as it is shown; '' for a number."""
+    return SIGNALS[name].removeprefix('1')
+
+
+def further_signals(
+    recording: Recording, t_s: Column
+) -> tuple[dict[str, Column], Deciding | None]:
+    """Signals that a run's requirements read beside the curves of its viewer, and what decides.
+
+    Args:
+        recording: of the run.
+        t_s: time of each step of its trace [s].
+
+    Returns:
+        As :attr:`RunView.signals` and :attr:`RunView.deciding`.
+    """
+    if recording.facts is None:
+        return {}, None
+    samples = run_samples(recording)[0]
+    specs = [parse_spec(text) for text in samples.specs]
+    rows = np.searchsorted(t_s, np.array(samples.stamps_ns, dtype=np.int64) / NS_PER_S)
+    found: dict[str, Column] = {}
+    for name in sorted(signals_of_specs(specs) - _DRAWN):
+        values = np.array([sample[name] for sample in samples.samples], dtype=np.float64)
+        values[values >= _NONE_LEFT.get(name, np.inf)] = np.nan
+        found[name] = np.full(len(t_s), np.nan)
+        found[name][rows] = values
+    return found, _deciding(samples, specs, t_s) if found else None
+
+
+def _deciding(samples: RunSamples, specs: Sequence[Spec], t_s: Column) -> Deciding | None:
+    judged = [judge_spec(samples, spec, explained=True)[0] for spec in specs]
+    chosen = next((one for one in judged if one.verdict.failed), judged[0])
+    found = chosen.explanation
+    witness = None if found is None else found.witness
+    if found is None or witness is None:
+        return None
+    atom = next(one for one in ast.atoms(chosen.spec.formula) if str(one) == witness.text)
+    names = [name for name in ast.signal_names(atom) if name not in _DRAWN]
+    if not names:
+        return None
+    numbers = [side.value for side in (atom.left, atom.right) if isinstance(side, ast.Number)]
+    return Deciding(
+        row=int(np.searchsorted(t_s, found.witness_s)), spec=chosen.spec.name,
+        signal=names[0], bound=next(iter(numbers), math.nan),
+    )
+
+
+def _outline(one: GroundObject) -> Polygon:
+    """Corners of an object that does not move, in ``map`` [m]."""
+    pose = one.pose_at(0)
+    ahead = np.array([math.cos(pose.heading_rad), math.sin(pose.heading_rad)])
+    left = np.array([-ahead[1], ahead[0]])
+    corners = (
+        (pose.x_m, pose.y_m) + x * one.size.length_m / 2 * ahead + y * one.size.width_m / 2 * left
+        for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1))
+    )
+    return tuple((float(x), float(y)) for x, y in corners)
 
 
 def _rounded(values: Column) -> list[float | int | str | None]:

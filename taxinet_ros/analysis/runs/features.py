@@ -319,6 +319,13 @@ def varied(
     return tuple(feature for feature in features if frame[feature.name].nunique() > 1)
 
 
+def shown_features(frame: pd.DataFrame) -> tuple[Feature, ...]:
+    """Features whose rates are shown: those that vary here; the paper's where none does."""
+    signed = tuple(
+        one for one in features_of(frame.columns) if one not in (ABS_CROSS_TRACK, ABS_HEADING))
+    return varied(frame, signed) or PAPER_FEATURES
+
+
 def kinds_present(feature: Feature, frame: pd.DataFrame) -> tuple[str, ...]:
     """The words of a feature that occur, in their order; unknown ones last."""
     present = set(frame[feature.name])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from taxinet_ros.analysis.one_run.trajectories import BAND_M, Trajectory
 from taxinet_ros.analysis.report.page import write_report
@@ -16,6 +18,7 @@ from taxinet_ros.analysis.report.parts import Column, Picture, Table, Theme
 from taxinet_ros.analysis.report.parts import Report as PageReport
 from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import signs
+from taxinet_ros.analysis.report.viewer import Deciding, further_signals, signal_unit
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl.interval import rho_text
@@ -60,6 +63,30 @@ def shrink_picture(runs: Sequence[Trajectory], title: str) -> Picture:
         name=Path(PICTURE_NAME).stem, title=title, size_in=(8.0, 4.4),
         caption='True distance from the line over time, left is up.',
         draw=lambda figure, theme: _draw(runs, figure, theme),
+    )
+
+
+def _signal_picture(
+    runs: Sequence[Trajectory], values: Sequence[Mapping[str, NDArray[Any]]], deciding: Deciding,
+    title: str,
+) -> Picture:
+    """As :func:`shrink_picture`, of the signal that decides."""
+    def draw(figure: Figure, theme: Theme) -> None:
+        axes = figure.subplots()
+        if math.isfinite(deciding.bound):
+            axes.axhline(deciding.bound, color=theme.ink, linewidth=1.0, label='limit')
+        for run, signals, style in zip(runs, values, _styles(theme), strict=False):
+            axes.plot(run.t_s, signals[deciding.signal], label=run.label, **style)
+        axes.set_xlabel('time [s]')
+        unit = signal_unit(deciding.signal)
+        axes.set_ylabel(f'{deciding.signal} [{unit}]' if unit else deciding.signal)
+        axes.margins(x=0.01)
+        axes.grid(visible=True, linewidth=0.6, zorder=0)
+        figure.legend(loc='outside lower center', ncols=4, frameon=False, fontsize=9)
+
+    return Picture(
+        name=Path(PICTURE_NAME).stem, title=title, size_in=(8.0, 4.4), draw=draw,
+        caption=f'{deciding.signal} over time.',
     )
 
 
@@ -145,7 +172,7 @@ def shrink_report(shrinking: Shrinking, found: Report) -> PageReport:
     }
     shrunk = three.get('shrunk')
     title = f'Fails with {off_nominal(found)}'
-    pictures = [shrink_picture([*drawn.values()], title)] if drawn else []
+    pictures = [_picture(shrinking, three, drawn, title)] if drawn else []
     return fill_report(
         TEXT, {
             'values': _as_json(shrinking, found), 'fields': BY_KEY,
@@ -156,6 +183,20 @@ def shrink_report(shrinking: Shrinking, found: Report) -> PageReport:
         runs=bags, worst='' if shrunk is None else shrunk.run_id, worst_words='The shrunk run',
         rho={row.run_id: row.rho[name] for row in three.values()},
     )
+
+
+def _picture(
+    shrinking: Shrinking, rows: Mapping[str, RunRow], drawn: Mapping[str, Trajectory], title: str
+) -> Picture:
+    read = [
+        further_signals(open_recording(shrinking.campaign.out / rows[name].bag), run.t_s)
+        for name, run in drawn.items()
+    ]
+    deciding = next((one for _, one in read if one is not None), None)
+    runs = [*drawn.values()]
+    if deciding is None:
+        return shrink_picture(runs, title)
+    return _signal_picture(runs, [signals for signals, _ in read], deciding, title)
 
 
 def _parameters(found: Report) -> Table:

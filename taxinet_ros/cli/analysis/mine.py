@@ -83,5 +83,6 @@ def mine(
         value = words(one.value)
         if math.isinf(one.value):
             value = f'{"no" if (one.value > 0) == target.rises else "every"} value holds'
-        ends = f'[{words(one.tighter)}, {words(one.looser)}]'
+        low, high = (one.tighter, one.looser) if target.rises else (one.looser, one.tighter)
+        ends = f'[{words(low)}, {words(high)}]'
         console.print(f'{given}{target.name} = {value}  {ends}')

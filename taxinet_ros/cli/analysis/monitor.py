@@ -62,7 +62,12 @@ def monitor(
     for bit. Exit codes: 0 all satisfied, 1 some violated, 2 bad input, 3 some bag is incomplete,
     damaged or inconsistent with its recorded verdict.
     """
-    from taxinet_ros.analysis.one_run.judged import RequirementNotes, judged_json, summary_lines
+    from taxinet_ros.analysis.one_run.judged import (
+        RequirementNotes,
+        check_others_there,
+        judged_json,
+        summary_lines,
+    )
     from taxinet_ros.core.mtl import parse_spec
     from taxinet_ros.trials.past_runs.added_requirements import (
         add_requirements,
@@ -77,6 +82,7 @@ def monitor(
     paths = list(dict.fromkeys(bag for group in found.values() for bag in group))
     if run_id is not None and len(paths) > 1:
         raise UsageError(f'--run {run_id}: {len(paths)} bags given; name the one with this run')
+    check_others_there(chosen, paths)
     to_add = {place: addable(place, chosen) for place in bags} if add else {}
     if add and not chosen:
         raise UsageError('--add: name the requirement to add with --spec')

@@ -15,7 +15,7 @@ from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.assumptions import ANYTHING, Range, enclose, margin_range
 from taxinet_ros.core.mtl.offline import robustness_range
 from taxinet_ros.core.mtl.sliding import INF
-from taxinet_ros.core.mtl.specs import Spec
+from taxinet_ros.core.mtl.specs import SWITCHES, Spec
 from taxinet_ros.core.types import NS_PER_S, step_stamp_ns
 from taxinet_ros.core.units import (
     ANGLE,
@@ -92,6 +92,8 @@ def _plain_words(atom: ast.Compare, units: Units) -> str:
 def atom_words(atom: ast.Compare, units: Units) -> str:
     """Readable form of a comparison, with units."""
     dimension = compared_dimension(atom, units)
+    if not SWITCHES.isdisjoint(ast.signal_names(atom)):
+        dimension = None
     return f'{_expr(atom.left, dimension)} {atom.op} {_expr(atom.right, dimension)}'
 
 
@@ -108,7 +110,7 @@ def rho_unit(formula: ast.Formula, units: Units) -> str:
 
 def range_words(name: str, ends: Range, units: Units) -> str:
     """Range of a signal as text: ``steering within ±0.261799 rad (15 deg)``; '' if unknown."""
-    (low, high), dimension = ends, dimension_of(units.get(name, ''))
+    (low, high), dimension = ends, dimension_of('' if name in SWITCHES else units.get(name, ''))
     if low == -high and high < INF:
         return f'{name} within ±{value_words(high, dimension)}'
     if low > -INF and high < INF:

@@ -53,6 +53,9 @@ MOST_CLEARANCE_M = 1000.0
 MOST_HOLD_DISTANCE_M = 1000.0
 """Greatest ``hold_distance``; what it is where no hold line is left to be cleared [m]."""
 
+SWITCHES = frozenset({'collision'})
+"""Signals that are 0 or 1, which are no shares."""
+
 OF_OTHERS = frozenset({'clearance', 'collision', 'hold_distance'})
 """Signals about others on the ground."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,22 +41,26 @@ class Kind:
         size: unless an object says another.
         colour: unless an object says another, one of :data:`COLOURS`.
         solid: whether it stands on the ground, and can be hit; else it lies on it as paint does.
+        many: word for several of them; '' if it ends in ``s``.
     """
 
     size: Size
     colour: str
     solid: bool = True
+    many: str = ''
 
 
 KINDS = {
-    'aircraft': Kind(size=Size(12.7, 15.9, 4.5), colour='blue'),
+    'aircraft': Kind(size=Size(12.7, 15.9, 4.5), colour='blue', many='aircraft'),
     'vehicle': Kind(size=Size(5.4, 2.1, 2.2), colour='yellow'),
     'cone': Kind(size=Size(0.4, 0.4, 0.75), colour='orange'),
     'person': Kind(size=Size(0.35, 0.55, 1.75), colour='yellow'),
     'closed_marking': Kind(size=Size(18.3, 14.0, 0.0), colour='yellow', solid=False),
-    'painted_over': Kind(size=Size(37.0, 1.3, 0.0), colour='black', solid=False),
-    'tyre_marks': Kind(size=Size(40.0, 2.4, 0.0), colour='black', solid=False),
-    'patch': Kind(size=Size(8.0, 5.0, 0.0), colour='black', solid=False),
+    'painted_over': Kind(
+        size=Size(37.0, 1.3, 0.0), colour='black', solid=False, many='painted over'),
+    'tyre_marks': Kind(
+        size=Size(40.0, 2.4, 0.0), colour='black', solid=False, many='tyre marks'),
+    'patch': Kind(size=Size(8.0, 5.0, 0.0), colour='black', solid=False, many='patches'),
     HOLD_LINE: Kind(size=Size(2.1, 22.0, 0.0), colour='yellow', solid=False),
 }
 """By word. The aircraft is of a Caravan's size; the X and the hold line are as long as AC
@@ -259,6 +264,16 @@ class Traffic(NamedDocument):
             (one, self.pose(number, stamp_ns, held))
             for number, one in enumerate(self.objects) if one.solid
         ]
+
+    @property
+    def words(self) -> str:
+        """Number and kinds of its objects: ``2 cones and 1 hold line``."""
+        numbers = Counter(one.kind for one in self.objects)
+        *most, last = [
+            f'{number} {kind if number == 1 else KINDS[kind].many or f"{kind}s"}'.replace('_', ' ')
+            for kind, number in numbers.items()
+        ] or [NOBODY]
+        return f'{", ".join(most)} and {last}' if most else last
 
     @cached_property
     def reacting(self) -> str:

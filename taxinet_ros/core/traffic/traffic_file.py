@@ -22,6 +22,7 @@ from taxinet_ros.core.traffic.traffic import (
     Traffic,
     traffic_of,
 )
+from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, read_yaml
 
 MOST_OBJECTS = 32
@@ -115,6 +116,18 @@ OTHERS: Catalogue[Traffic] = Catalogue(
 """Nobody, and the user's."""
 find_traffic = OTHERS.find
 typed_traffic = OTHERS.typed
+
+
+def traffic_words(reference: str) -> str:
+    """Number and kinds of the objects of a reference: ``2 cones and 1 hold line``.
+
+    Without the kinds where only its digest is known.
+    """
+    try:
+        return typed_traffic(reference).words
+    except UsageError:
+        number = reference.partition('_')[0]
+        return f'{number} {"object" if number == "1" else "objects"}'
 
 
 def load_traffic(source: str | Path | Sequence[Mapping[str, Any]]) -> str:

@@ -23,7 +23,7 @@ from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, MOST_HOLD_DISTANCE_M, O
 from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.core.rig.aircraft_model import USUAL_SPEED_MPS
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.traffic.traffic import HOLD_LINE
+from taxinet_ros.core.traffic.traffic import HOLD_LINE, GroundObject, Traffic
 from taxinet_ros.core.types import NS_PER_S, run_length_ns
 from taxinet_ros.core.verdict.judging import StopOn, stops
 from taxinet_ros.core.verdict.run_statistics import (
@@ -93,6 +93,16 @@ def reads_others(specs: Sequence[Spec]) -> bool:
     return any(name in OF_OTHERS for spec in specs for name in signal_names(spec.formula))
 
 
+def read_objects(specs: Sequence[Spec], others: Traffic) -> tuple[GroundObject, ...]:
+    """Those of others on the ground that formulas are about: hold lines, or what can be hit."""
+    read = {name for spec in specs for name in signal_names(spec.formula)} & OF_OTHERS
+    kinds = {name == 'hold_distance' for name in read}
+    return tuple(
+        one for one in others.objects
+        if (True in kinds and one.kind == HOLD_LINE) or (False in kinds and one.solid)
+    )
+
+
 def check_others(specs: Sequence[Spec], *scenarios: Scenario) -> None:
     """Refuse formulas about others on the ground where nobody is: nothing could violate them.
 
@@ -108,15 +118,14 @@ def check_others(specs: Sequence[Spec], *scenarios: Scenario) -> None:
     for spec, name in read if scenarios else ():
         if name not in OF_OTHERS:
             continue
-        if name == 'hold_distance' and not any(one.others.hold_lines for one in scenarios):
-            raise UsageError(
-                f'{spec.name}: reads {name}, and there is no {HOLD_LINE}; place one on the track '
-                '(docs/world.md), or leave the formula out'
+        if not any(read_objects([spec], one.others) for one in scenarios):
+            missing = (
+                f'there is no {HOLD_LINE}; place one on the track' if name == 'hold_distance' else
+                'nobody is on the ground to be near; place objects that can be hit'
             )
-        if name != 'hold_distance' and not any(one.others.solids for one in scenarios):
             raise UsageError(
-                f'{spec.name}: reads {name}, and nobody is on the ground to be near; place '
-                'objects that can be hit (docs/world.md), or leave the formula out'
+                f'{spec.name}: reads {name}, and {missing} (docs/world.md), or leave the formula '
+                'out'
             )
         aircraft = [one.aircraft_model for one in scenarios]
         if not any(part.shades for one in aircraft for part in one.outline):

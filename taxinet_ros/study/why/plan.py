@@ -25,6 +25,7 @@ from taxinet_ros.core.scenario_fields import (
     CAMERA_OFFSETS,
     FAULTS,
     FORM,
+    GNSS_FIELDS,
     PUSHING_FIELDS,
     RAIN_CLOUDS,
     split_point,
@@ -32,6 +33,7 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.world import world_and_camera
 from taxinet_ros.errors import UsageError
+from taxinet_ros.scenes.overrides import NEEDS
 from taxinet_ros.scenes.programs import scenario_program
 from taxinet_ros.study.stages.stage import Resume, Stage, analysis_stage, localisation_stage
 from taxinet_ros.trials.record.table import PARQUET_NAME
@@ -218,7 +220,8 @@ def region_change(region: Region) -> Change | None:
     """
     values: dict[str, Any] = {}
     words = []
-    absent = {field.key: field for field in (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS)}
+    absent = {field.key: field for field in (
+        *PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS, *GNSS_FIELDS)}
     for part in region.parts:
         key, later = split_point(part.feature) if isinstance(part, Interval | Kinds) else ('', '')
         if isinstance(part, Interval) and part.feature == 'rain_percent' and part.low:
@@ -231,8 +234,12 @@ def region_change(region: Region) -> Change | None:
             values['clouds'] = 'clear'
             words.append('under a clear sky')
         elif isinstance(part, Interval | Kinds) and key in absent and later != FORM:
-            values[part.feature] = absent[key].to_human(absent[key].absent)
-            words.append(f'without {BY_KEY[part.feature].title}')
+            # Without the drop-out, not with one that starts at 0.
+            name = part.feature if later else min(NEEDS.get(key, {key}))
+            if name not in values:
+                words.append(f'without {BY_KEY[name].title}')
+            field = absent[split_point(name)[0]]
+            values[name] = field.to_human(field.absent)
     return Change(words=', '.join(words), values=_possible(values)) if values else None
 
 

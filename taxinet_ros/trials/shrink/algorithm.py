@@ -171,11 +171,16 @@ class _Walk:
             ]
             rhos = self._ask(singles)
             failing = sorted((point for point in rhos if rhos[point] <= 0), key=rhos.__getitem__)
+            if failing:
+                # All at once if that still fails, else the one that leaves the worst failure.
+                self.at = failing[0]
+                together = tuple(map(min, *failing)) if len(failing) > 1 else failing[0]
+                if self._fails(together):
+                    self.at = together
+            if len(rhos) < len(singles):
+                raise _Stop
             if not failing:
                 return
-            together = tuple(map(min, *failing)) if len(failing) > 1 else failing[0]
-            # All at once if that still fails, else the one that leaves the worst failure.
-            self.at = together if self._fails(together) else failing[0]
 
     def _narrow(self, axis: int) -> None:
         """Move one axis as near to nominal as the failure allows; at nominal it passes."""
@@ -204,14 +209,16 @@ class _Walk:
         return True
 
     def _fails(self, point: Point) -> bool:
-        return self._ask([point])[point] <= 0
+        found = self._ask([point])
+        if not found:
+            raise _Stop
+        return found[point] <= 0
 
     def _ask(self, points: Sequence[Point]) -> dict[Point, float]:
-        asked = {**self.asked, **dict.fromkeys(points)}
-        if len(asked) > self._most:
-            raise _Stop
-        self.asked = asked
-        self.missing = [point for point in asked if point not in self._answers]
+        """Answers for points, for fewer where no more may be asked for."""
+        new = [point for point in dict.fromkeys(points) if point not in self.asked]
+        self.asked |= dict.fromkeys(new[:self._most - len(self.asked)])
+        self.missing = [point for point in self.asked if point not in self._answers]
         if self.missing:
             raise _Stop
-        return {point: self._answers[point] for point in points}
+        return {point: self._answers[point] for point in points if point in self.asked}

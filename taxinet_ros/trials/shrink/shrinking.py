@@ -195,7 +195,6 @@ def make_shrinking(
         specs = Judging(specs=run.specs).headed_by(examined.spec).specs
         told = tuple(filter(None, [
             examined.chosen, examined.also(f'taxinet shrink {shlex.quote(str(path))}')]))
-    space = make_shrink_space(run.scenario, nominal)
     if out is None and not resume:
         out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
     if perception is None:
@@ -215,6 +214,7 @@ def make_shrinking(
         perception=perception, controller=controller, specs=specs, world=run.world,
         **others,
     )
+    space = make_shrink_space(run.scenario, nominal, campaign.judging.parsed_specs)
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     campaign = dataclasses.replace(campaign, gains=gains, timing=run.timing)
     return Shrinking(run, space, with_workers(campaign, workers, cluster), told)
@@ -373,13 +373,23 @@ def shrink_heading(shrinking: Shrinking) -> str:
     )
 
 
+_LONG_KEY = 20
+"""Longer names of parameters leave less room between columns of a terminal of 80."""
+
+
 def parameter_table(report: Report) -> Table:
     """Every parameter with its three values, and whether it matters."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    long = max(len(one.key) for one in report.findings) > _LONG_KEY
+    table = Table(box=None, pad_edge=False, padding=(0, 1 if long else 2, 0, 0))
     table.add_column('parameter', no_wrap=True)
-    for name in ('original', 'nominal', 'shrunk', 'rho in\noriginal', 'rho in\nshrunk'):
+    for name in ('original', 'nominal', 'shrunk'):
+        words = [name, *(one.words(getattr(one, name)) for one in report.findings)]
+        # Several objects take several lines.
+        table.add_column(
+            name, justify='right', min_width=max(map(len, ' '.join(words).split())))
+    for name in ('rho in\noriginal', 'rho in\nshrunk'):
         table.add_column(name, justify='right', no_wrap=True)
-    table.add_column('verdict', no_wrap=True)
+    table.add_column('verdict')
     for one in report.findings:
         verdict = _MATTERS[one.matters]
         if one.original == one.nominal:

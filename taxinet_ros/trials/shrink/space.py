@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from taxinet_ros.core.mtl import Spec
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
     BY_KEY,
@@ -40,8 +41,9 @@ from taxinet_ros.core.scenario_fields import (
     is_point,
     split_point,
 )
-from taxinet_ros.core.traffic.traffic import NOBODY, traffic_of
+from taxinet_ros.core.traffic.traffic import NOBODY, GroundObject, traffic_of
 from taxinet_ros.core.traffic.traffic_file import typed_traffic
+from taxinet_ros.core.verdict.judge import check_others, read_objects
 from taxinet_ros.errors import UsageError
 from taxinet_ros.samplers.sampler import split_options
 from taxinet_ros.scenes.overrides import WEATHER
@@ -151,15 +153,19 @@ class ShrinkSpace:
         return (*point[:other], 0, *point[other + 1:])
 
 
-def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> ShrinkSpace:
+def make_shrink_space(
+    original: Scenario, settings: Iterable[str] = (), specs: Sequence[Spec] = ()
+) -> ShrinkSpace:
     """The space of a failed run.
 
     Args:
         original: its scenario.
         settings: ``key=value`` of the nominal scenario, in human units.
+        specs: its formulas; objects on the ground that they are about stay.
 
     Raises:
-        UsageError: a setting is invalid, or the run's scenario is already nominal.
+        UsageError: a setting is invalid, a formula is about objects that the nominal scenario
+            lacks, or the run's scenario is already nominal.
     """
     chosen = _chosen(settings)
     drawn = original.to_human()
@@ -170,7 +176,8 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     }
     moved = (*PUSHING_FIELDS, *FAULTS, *CAMERA_OFFSETS, *_GNSS)
     pushed = {field.key: field.to_human(field.absent) for field in moved}
-    pushed[TRAFFIC.key] = NOBODY
+    kept = read_objects(specs, original.others)
+    pushed[TRAFFIC.key] = _reference(kept)
     pushed |= {name: pushed[key] for key in KEYS for name in _points(key, drawn)}
     keys = [name for key in KEYS for name in (key, *_points(key, drawn))]
     usual |= {key: value for key, value in pushed.items() if key in keys and drawn[key] != value}
@@ -179,12 +186,13 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
         nominal = scenario_from_human(_without_level_signals({**asked, **_followers(asked)}))
         if 'aircraft' in chosen:  # in the run's own wind, as it may be moved first
             scenario_from_human({**drawn, 'aircraft': chosen['aircraft']})
+        check_others(specs, nominal)
     except UsageError as error:
         raise UsageError(f'nominal: {str(error).removeprefix("scenario: ")}') from None
     wanted = nominal.to_human()
     wanted = {**{name: wanted[split_point(name)[0]] for name in original.points}, **wanted}
     parameters = tuple(
-        Parameter(key=key, values=_values(key, wanted[key], drawn[key]))
+        Parameter(key=key, values=_values(key, wanted[key], drawn[key], kept))
         for key in keys if key in usual or key in chosen
     )
     space = ShrinkSpace(original=original, nominal=nominal, parameters=parameters)
@@ -250,11 +258,13 @@ def _without_level_signals(values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
+def _values(
+    key: str, nominal: Any, original: Any, kept: Collection[GroundObject]
+) -> tuple[Any, ...]:
     if nominal == original:
         return (nominal,)
     if key == TRAFFIC.key:
-        return _fewer(nominal, original)
+        return _fewer(nominal, original, kept)
     if BY_KEY[key].words:
         return _words(BY_KEY[key].words, nominal, original)
     if (step := STEPS.get(split_point(key)[0])) is None:
@@ -265,11 +275,18 @@ def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
     return (*(round(nominal + k * step, 9) for k in range(max(whole, 1))), original)
 
 
-def _fewer(nominal: str, original: str) -> tuple[str, ...]:
-    """References to the first objects of a scene, from the nominal ones to all of them."""
+def _fewer(nominal: str, original: str, kept: Collection[GroundObject]) -> tuple[str, ...]:
+    """References to those kept and the first others of a scene, from the nominal ones to all."""
     objects = typed_traffic(original).objects
-    parts = (typed_traffic(traffic_of(objects[:k]).text) for k in range(1, len(objects) + 1))
-    return nominal, *(part.reference for part in parts if part.reference != nominal)
+    parts = dict.fromkeys(
+        _reference([one for place, one in enumerate(objects) if place < k or one in kept])
+        for k in range(len(objects) + 1)
+    )
+    return nominal, *(part for part in parts if part not in (nominal, NOBODY))
+
+
+def _reference(objects: Sequence[GroundObject]) -> str:
+    return typed_traffic(traffic_of(objects).text).reference
 
 
 def _words(order: tuple[str, ...], nominal: str, original: str) -> tuple[str, ...]:

@@ -280,6 +280,16 @@ def test_given_what_fails_and_what_pushes_then_the_run_is_driven_again_without_e
     )
 
 
+def test_given_faults_of_the_gnss_then_the_run_is_driven_again_without_each_and_all():
+    well = Scenario(duration_s=15.0, sensors='standard')
+    wanted = run_factors(dataclasses.replace(
+        well, gnss_bias_m=-3.0, gnss_dropout_start_s=2.0, gnss_dropout_s=9.0))
+    assert [factor.words for factor in wanted] == [
+        'without the GNSS offset to the left', 'without the GNSS drop-out', 'without any of this']
+    assert wanted[1].scenario == dataclasses.replace(well, gnss_bias_m=-3.0)
+    assert wanted[2].scenario == well
+
+
 def test_given_what_changes_within_a_run_then_the_run_is_driven_again_with_it_as_at_the_start():
     calm = Scenario(cross_track_m=2.0, duration_s=15.0)
     scene = dataclasses.replace(calm, wind_speed_mps=4.0, **{

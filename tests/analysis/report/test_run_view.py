@@ -19,6 +19,7 @@ from taxinet_ros.analysis.report.viewer import (
     read_frames,
     read_run_view,
 )
+from taxinet_ros.analysis.report.worst import view_worst
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.rewrite.frames import restore_frames
 from taxinet_ros.bag.run.recording import Recording, open_recording
@@ -62,6 +63,42 @@ def test_given_a_bag_when_viewed_then_its_facts_are_in_words(view: RunView) -> N
     assert view.facts['cross track'].endswith(' m')
     assert view.facts['heading'].endswith('°')
     assert view.summary.startswith('cross track ')
+
+
+@pytest.fixture(scope='module')
+def crossed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run whose nose crosses a hold line after a second, which is cleared half a second later."""
+    line = {'kind': 'hold_line', 'x_m': 408, 'y_m': 0, 'until_s': 1.5}
+    scene = tx.Scenario(duration_s=2.0, distance_m=400.0, traffic=tx.load_traffic([line]))
+    bag = tmp_path_factory.mktemp('crossed') / 'run'
+    tx.run(scene, perception='truth', specs=['hold_short']).save_bag(bag)
+    return bag
+
+
+def test_given_a_formula_about_a_hold_line_when_viewed_then_its_signal_line_and_moment_are_there(
+    crossed: Path,
+) -> None:
+    view = read_run_view('a run', crossed)
+    data = json.loads(data_block(view.data()))
+    signal, = data['signals']
+    assert (signal['name'], signal['unit']) == ('hold_distance', 'm')
+    known = [value for value in signal['values'] if value is not None]
+    assert known == signal['values'][:15], 'then it is cleared'
+    assert known[0] > 0 > known[-1]
+    line, = data['holdLines']
+    assert line['until'] == 1.5
+    assert np.mean(line['corners'], axis=0) == pytest.approx((408, 0))
+    deciding = view.deciding
+    assert deciding is not None
+    assert (deciding.row, deciding.signal, deciding.bound) == (14, 'hold_distance', 0.0)
+    words = view_worst(view, known[-1])['caption']
+    assert f'hold_short is decided at 1.4 s, where hold_distance is −{-known[-1]:.2f} m.' in words
+
+
+def test_given_a_formula_about_pose_when_viewed_then_no_further_signal_decides(
+    view: RunView,
+) -> None:
+    assert (view.signals, view.hold_lines, view.deciding) == ({}, (), None)
 
 
 @NEEDS_OUR_STACK

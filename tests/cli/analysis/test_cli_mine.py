@@ -55,6 +55,18 @@ def test_given_a_campaign_when_mined_then_the_value_is_the_order_statistic_of_it
     assert verdicts.count('SATISFIED') == RUNS // 2
 
 
+def test_given_a_greatest_value_when_mined_then_its_interval_is_printed_from_low_to_high(campaign):
+    least = sorted(
+        tx.open_recording(campaign / bag).trace['cte_m'].abs().min()
+        for bag in tx.open_campaign(campaign).rows['bag']
+    )
+    done = taxinet('mine', 'always(abs(cte) >= A)', campaign, '--share', '0.5')
+    low, high = done.stdout.splitlines()[-1].partition('[')[2].rstrip(']').split(', ')
+    assert (float(low), float(high)) == pytest.approx((least[0], least[5]), abs=1.1e-4)
+    done = taxinet('mine', 'always(abs(cte) >= A)', campaign, '--share', '0.95')
+    assert done.stdout.splitlines()[-1].partition('[')[2].startswith('not known, ')
+
+
 def test_given_two_parameters_when_mined_then_each_time_has_a_tighter_number(campaign):
     done = taxinet('mine', 'always[T:2](abs(cte) <= A)', campaign, '--points', '5', '--json')
     values = json.loads(done.stdout)['values']

@@ -8,7 +8,12 @@ import pytest
 
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.traffic.traffic import KINDS
-from taxinet_ros.core.traffic.traffic_file import find_traffic, load_traffic, typed_traffic
+from taxinet_ros.core.traffic.traffic_file import (
+    find_traffic,
+    load_traffic,
+    traffic_words,
+    typed_traffic,
+)
 from taxinet_ros.errors import UsageError
 
 NS_PER_S = 1_000_000_000
@@ -94,6 +99,12 @@ def test_given_the_same_objects_then_text_and_reference_are_the_same_however_the
     assert find_traffic(shy).objects[0].stands_within_m == 9
     assert find_traffic(shy).text == shy
     assert find_traffic(load_traffic([VAN])).text == load_traffic([VAN])
+
+
+def test_given_objects_when_said_then_by_number_and_kind():
+    kinds = ('patch', 'hold_line', 'patch', 'aircraft', 'aircraft')
+    text = load_traffic([{'kind': kind, 'x_m': 430 + k, 'y_m': 2} for k, kind in enumerate(kinds)])
+    assert traffic_words(find_traffic(text).reference) == '2 patches, 1 hold line and 2 aircraft'
 
 
 def test_given_a_file_when_typed_then_its_objects_are_there(tmp_path):

@@ -69,6 +69,12 @@ def test_given_a_region_then_the_change_takes_scenes_out_of_it():
     gust = Interval(feature='wind_speed_mps@5', low=9.0, high=None)
     assert region_change(Region(parts=(gust,))) == Change(
         words='without wind at 5 s', values={'wind_speed_mps@5': 0.0})
+    late = Interval(feature='gnss_dropout_start_s', low=6.0, high=9.0)
+    left = Interval(feature='gnss_bias_m', low=None, high=0.5)
+    silent = Interval(feature='gnss_dropout_s', low=8.8, high=14.5)
+    assert region_change(Region(parts=(late, left, silent))) == Change(
+        words='without GNSS drop-out, without GNSS offset to the left',
+        values={'gnss_dropout_s': 0.0, 'gnss_bias_m': 0.0})
 
 
 def test_given_scenes_outside_a_networks_training_then_the_change_takes_them_into_it():

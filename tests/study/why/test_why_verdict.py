@@ -141,6 +141,7 @@ def todo(found: Evidence, **options):
     evidence(blames=Blames(network=4), causes=(WET,)),
     evidence(blames=Blames(network=4), causes=(WET,), network='my net.onnx'),
     evidence(blames=Blames(controller=4), causes=(WET,)),
+    evidence(blames=Blames(controller=4), causes=(WET,), network='truth', controller='hold_short'),
     evidence(blames=Blames(requirement=4), causes=(WET,)),
     evidence(blames=Blames(network=1, controller=1, requirement=1), causes=(WET,)),
     evidence(failed=0),
@@ -214,6 +215,17 @@ def test_given_the_controllers_fault_then_no_training_is_suggested():
     ]
     assert not any(' train ' in line for line in lines)
     assert 'taxinet run --from found/r1 --perception truth' in lines
+
+
+def test_given_runs_driven_by_the_truth_then_nothing_is_suggested_that_they_were():
+    settings = replace(SETTINGS, perception='truth', controller='hold_short', gains={})
+    change, = (
+        action for action in todo(evidence(
+            blames=Blames(controller=4), causes=(WET,), network='truth', controller='hold_short',
+            settings=settings,
+        )) if action.heading == 'What to do')
+    assert change.sentences == ('Change the controller hold_short or what it has to resist.',)
+    assert not change.commands
 
 
 @pytest.mark.parametrize(('network', 'trained'), [

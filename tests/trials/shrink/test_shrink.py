@@ -187,6 +187,12 @@ def test_given_few_runs_then_the_nearest_failing_point_so_far_is_kept():
     assert before == 33
 
 
+def test_given_fewer_runs_than_parameters_then_all_are_made_and_what_they_found_is_kept():
+    search = ShrinkSearch([Axis(steps=60)] * 6, most=4)
+    assert len(finish(search, beyond(0, 0, 0, 0, 0, 30))) == 4
+    assert (search.state.at, search.state.end) == ((0, 60, 60, 60, 60, 60), End.SPENT)
+
+
 @pytest.mark.parametrize(('axes', 'most'), [([], 9), ([Axis(steps=0)], 9), ([Axis(steps=1)], 1)])
 def test_given_nothing_to_search_then_that_is_refused(axes, most):
     with pytest.raises(ValueError, match='at most'):

@@ -14,10 +14,11 @@ import pytest
 from campaign_records import write_campaign
 from rich.console import Console
 
-from taxinet_ros.core.mtl import exact_intervals
+from taxinet_ros.core.mtl import exact_intervals, parse_spec
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import FAULTS, WIND_SPEED
+from taxinet_ros.core.scenario_fields import BY_KEY, FAULTS, WIND_SPEED
 from taxinet_ros.core.traffic.traffic_file import load_traffic
+from taxinet_ros.core.verdict.judge import check_others
 from taxinet_ros.core.verdict.judging import Judging
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.verdict.run_statistics import RunStatistics
@@ -276,6 +277,24 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
 
 
 @pytest.mark.nightly
+def test_given_others_and_faults_when_printed_then_keys_are_whole_on_80_columns(tmp_path):
+    kinds = ('vehicle', 'person', 'cone', 'hold_line', 'patch')
+    failing = dataclasses.replace(
+        WET, sensors='standard', gnss_dropout_s=9.7, steering_rate_limit_radps=0.1,
+        traffic=load_traffic([{'kind': kind, 'x_m': 900 + 9 * k, 'y_m': 0}
+                              for k, kind in enumerate(kinds)]),
+    )
+    found = make_report(options(campaign(tmp_path / 'c', failing), tmp_path / 'out'))
+    lines = screen(found)
+    assert {line.split()[0] for line in lines if line[:1].strip()} == {
+        'parameter', *(one.key for one in found.findings)}
+    assert not any('…' in line or '@' in line for line in lines)
+    assert max(map(len, lines)) <= 80
+    whole = ' '.join(' '.join(lines).split())
+    assert '1 vehicle' in whole
+    assert 'hold line' in whole
+
+
 def test_given_a_shrinking_that_was_cut_short_then_only_what_was_run_passes_or_matters(tmp_path):
     """A value that fails too was printed as one that passes (rho -0.50)."""
     for runs in range(2, 30):
@@ -502,6 +521,27 @@ def test_given_others_on_the_ground_then_they_are_taken_away_from_the_last_to_th
     assert space.scenario(tuple(top)).traffic == load_traffic(cones[:1])
     assert space.nominal.traffic == 'nobody'
     assert 'traffic' not in {one.key for one in make_shrink_space(WET).parameters}
+
+
+@pytest.mark.parametrize(('spec', 'kinds'), [
+    ('phi_always', ['nobody', '1 cone', '1 cone and 1 hold line',
+                    '1 cone, 1 hold line and 1 patch']),
+    ('hold_short', ['1 hold line', '1 cone and 1 hold line', '1 cone, 1 hold line and 1 patch']),
+    ('no_collision', ['1 cone', '1 cone and 1 hold line', '1 cone, 1 hold line and 1 patch']),
+])
+def test_given_a_formula_about_others_then_those_stay_that_it_is_about(spec, kinds):
+    there = load_traffic([
+        {'kind': kind, 'x_m': 1100 + 9 * k, 'y_m': 0}
+        for k, kind in enumerate(('cone', 'hold_line', 'patch'))
+    ])
+    specs = [parse_spec(spec)]
+    space = make_shrink_space(dataclasses.replace(WET, traffic=there), (), specs)
+    others = next(one for one in space.moving if one.key == 'traffic')
+    assert [BY_KEY['traffic'].value_words(value) for value in others.values] == kinds
+    check_others(specs, space.nominal)
+    if spec != 'phi_always':
+        with pytest.raises(UsageError, match=f'^nominal: {spec}: reads .*, and '):
+            make_shrink_space(dataclasses.replace(WET, traffic=there), ['traffic=nobody'], specs)
 
 
 def test_given_a_run_with_signals_then_its_control_points_go_to_nominal_one_by_one(tmp_path):

@@ -14,6 +14,9 @@ function plotPlan(run, tolerance) {
     { title: 'cross-track error [m]', lines: pair('cte'), band: tolerance, least: 2 },
     { title: 'heading error [°]', lines: pair('he'), least: 5, turn: 180 },
     { title: 'steering [°]', lines: [['command', run.steering]], least: 5 },
+    ...run.signals.map(({ name, unit, values }) => ({
+      title: unit ? `${name} [${unit}]` : name, lines: [['truth', values]], least: 1,
+    })),
     ...run.formulas.map(({ name, lower, upper }) => ({
       title: `robustness of ${name}`, lines: [['lower', lower], ['upper', upper]], least: 0.5,
       isInterval: true,

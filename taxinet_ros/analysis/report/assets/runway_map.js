@@ -2,6 +2,7 @@
 
 const ASPECT = 3;
 const MARGIN = 6;
+const NEAR = 40;
 
 /** Corners of a polygon or line as SVG points; SVG counts y downwards. */
 function points(corners) {
@@ -32,6 +33,10 @@ class RunwayMap {
   load(run, ground) {
     this.path = run.x.map((x, step) => [x, run.y[step]]);
     this.heading = run.yaw ?? run.he;
+    this.times = run.t;
+    this.holdLines = run.holdLines.map(({ corners, until }) => ({
+      corners, until, shape: makeSvg('polygon', { class: 'hold-line', points: points(corners) }),
+    }));
     const view = this.viewBox(ground.halfWidth);
     this.svg.setAttribute('viewBox', `${view.x} ${view.y} ${view.width} ${view.height}`);
     this.behind = makeSvg('polyline', { class: 'path-behind' });
@@ -39,6 +44,7 @@ class RunwayMap {
     const [startX, startY] = this.path.find(isPlace) ?? [0, 0];
     this.svg.replaceChildren(
       ...this.groundShapes(ground, view),
+      ...this.holdLines.map(({ shape }) => shape),
       ...this.distances(view),
       makeSvg('polyline', { class: 'path-ahead', points: points(this.path.filter(isPlace)) }),
       this.behind,
@@ -49,7 +55,9 @@ class RunwayMap {
 
   /** The whole path and the runway's width with a margin, in the shape of the map. */
   viewBox(halfWidth) {
-    const known = [[this.path[0]?.[0] || 0, 0], ...this.path].filter(isPlace);
+    const path = [[this.path[0]?.[0] || 0, 0], ...this.path].filter(isPlace);
+    const isNear = ([x, y]) => path.some(([px, py]) => Math.hypot(x - px, y - py) < NEAR);
+    const known = [...path, ...this.holdLines.flatMap(({ corners }) => corners).filter(isNear)];
     const [left, right] = reach(known.map(([x]) => x), MARGIN);
     const [top, bottom] = reach([-halfWidth, halfWidth, ...known.map(([, y]) => -y)], MARGIN);
     // The distances stand below the path.
@@ -100,6 +108,9 @@ class RunwayMap {
 
   show(step) {
     const [x, y] = this.path[step];
+    for (const { shape, until } of this.holdLines) {
+      shape.classList.toggle('cleared', this.times[step] >= until);
+    }
     this.behind.setAttribute('points', points(this.path.slice(0, step + 1).filter(isPlace)));
     const isKnown = isPlace([x, y]);
     this.aircraft.setAttribute('visibility', isKnown ? 'visible' : 'hidden');

@@ -21,6 +21,8 @@ function addressedRun() {
 function readRun(number) {
   const run = readBlock(document.getElementById(`run-data-${number}`));
   for (const name of CURVES) run[name] = run[name].map(toNumber);
+  for (const signal of run.signals) signal.values = signal.values.map(toNumber);
+  for (const line of run.holdLines) line.until = toNumber(line.until);
   for (const formula of run.formulas) {
     formula.lower = formula.lower.map(toNumber);
     formula.upper = formula.upper.map(toNumber);
