@@ -184,7 +184,8 @@ def test_given_a_link_of_a_run_when_followed_then_its_viewer_opens_and_back_clos
         assert now.tab.locator('#viewer-title').inner_text() == 'truth-nominal'
         now.tab.locator('#viewer-after').click()
         now.wait_until("location.hash === '#run=taxinet-midday'")
-        assert now.tab.locator('#viewer-place').inner_text() == '2 of 2'
+        # The viewer shows the run when the event arrives that follows the change of the address.
+        now.wait_until("document.querySelector('#viewer-place').textContent === '2 of 2'")
         now.tab.go_back()
         dialog.wait_for(state='hidden')
         assert '#' not in now.tab.url
