@@ -23,6 +23,7 @@ from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.mtl.specs import MOST_CLEARANCE_M, MOST_HOLD_DISTANCE_M, OF_OTHERS
 from taxinet_ros.core.rig.camera_model import rotation
 from taxinet_ros.core.rig.catalogue import find_aircraft
+from taxinet_ros.core.rig.outline import corners_of
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.motion import TrafficMotion
 from taxinet_ros.core.traffic.shapes import Outline, Points, hull, outlines
@@ -149,8 +150,7 @@ def _own_plan(
     ]
     if not hulls:
         return None
-    starts = itertools.accumulate((len(one) for one in hulls[:-1]), initial=0)
-    return np.pad(np.concatenate(hulls), ((0, 0), (0, 1))), list(starts)
+    return corners_of([np.pad(np.array(one), ((0, 0), (0, 1))) for one in hulls])
 
 
 def _plan(points: Sequence[tuple[float, float]]) -> Points:

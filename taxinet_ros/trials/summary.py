@@ -233,8 +233,7 @@ class Summary:
 
 
 def _least(row: RunRow) -> tuple[float, float, int]:
-    shown = row.robustness[row.decisive]
-    return shown.upper, shown.lower, row.index
+    return row.shown.upper, row.shown.lower, row.index
 
 
 def campaign_heading(options: CampaignOptions, here: str = 'one process') -> str:
@@ -327,7 +326,7 @@ def _sigma_words(sigma: Mapping[str, float]) -> str:
 
 def rho_words(row: RunRow, width: int = 0) -> str:
     """The robustness that a run is shown by, or its bounds if the run was stopped early."""
-    return row.robustness[row.decisive].bound_words(width)
+    return row.shown.bound_words(width)
 
 
 def worst_words(row: RunRow) -> str:
@@ -401,7 +400,7 @@ def summary_json(found: Summary, options: CampaignOptions, planned: Planned) -> 
         other = _other_than_headline(row)
         worst = {
             'run_id': row.run_id, 'outcome': row.outcome.value,
-            'rho': row.robustness[row.decisive], **({'spec': other} if other else {}),
+            'rho': row.shown, **({'spec': other} if other else {}),
         }
     if failed.rate is not None:
         value, low, high = failed.rate.other

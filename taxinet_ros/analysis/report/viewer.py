@@ -172,6 +172,12 @@ class Deciding:
     signal: str
     bound: float
 
+    @property
+    def label(self) -> str:
+        """The signal with its unit, as an axis names it."""
+        unit = signal_unit(self.signal)
+        return f'{self.signal} [{unit}]' if unit else self.signal
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunView:

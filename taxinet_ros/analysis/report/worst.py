@@ -7,13 +7,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.analysis.report.pictures import data_address, view_picture
-from taxinet_ros.analysis.report.viewer import RunView, signal_unit
+from taxinet_ros.analysis.report.viewer import Deciding, RunView, signal_unit
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.interval import rho_text
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
@@ -96,18 +97,22 @@ def _side_words(cte_m: float) -> str:
     return f'{abs(cte_m):.1f} m {side}'
 
 
+def draw_limit(deciding: Deciding, axes: Axes, theme: Theme) -> None:
+    """Draw the number that a signal is compared with, and name the axes of its curve."""
+    if math.isfinite(deciding.bound):
+        axes.axhline(deciding.bound, color=theme.ink, linewidth=1.0, label='limit')
+    axes.set_xlabel('time [s]')
+    axes.set_ylabel(deciding.label)
+
+
 def _draw_signal(view: RunView, row: int, figure: Figure, theme: Theme) -> None:
     axes, decides = figure.subplots(), view.deciding
     assert decides is not None
     values = view.signals[decides.signal]
-    if math.isfinite(decides.bound):
-        axes.axhline(decides.bound, color=theme.ink, linewidth=1.0, label='limit')
+    draw_limit(decides, axes, theme)
     axes.plot(view.t_s, values, color=theme.failed, linewidth=2.0, label='aircraft')
     axes.plot(view.t_s[decides.row], values[decides.row], 'o', color=theme.ink, markersize=6,
               label='decides')
-    unit = signal_unit(decides.signal)
-    axes.set_xlabel('time [s]')
-    axes.set_ylabel(f'{decides.signal} [{unit}]' if unit else decides.signal)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.margins(x=0.02)
     style_axes(axes, grid='none')

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,8 @@ from taxinet_ros.analysis.report.parts import Column, Picture, Table, Theme
 from taxinet_ros.analysis.report.parts import Report as PageReport
 from taxinet_ros.analysis.report.text import fill_report
 from taxinet_ros.analysis.report.values import signs
-from taxinet_ros.analysis.report.viewer import Deciding, further_signals, signal_unit
+from taxinet_ros.analysis.report.viewer import Deciding, further_signals
+from taxinet_ros.analysis.report.worst import draw_limit
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.mtl.interval import rho_text
@@ -73,13 +73,9 @@ def _signal_picture(
     """As :func:`shrink_picture`, of the signal that decides."""
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
-        if math.isfinite(deciding.bound):
-            axes.axhline(deciding.bound, color=theme.ink, linewidth=1.0, label='limit')
+        draw_limit(deciding, axes, theme)
         for run, signals, style in zip(runs, values, _styles(theme), strict=False):
             axes.plot(run.t_s, signals[deciding.signal], label=run.label, **style)
-        axes.set_xlabel('time [s]')
-        unit = signal_unit(deciding.signal)
-        axes.set_ylabel(f'{deciding.signal} [{unit}]' if unit else deciding.signal)
         axes.margins(x=0.01)
         axes.grid(visible=True, linewidth=0.6, zorder=0)
         figure.legend(loc='outside lower center', ncols=4, frameon=False, fontsize=9)

@@ -260,7 +260,7 @@ class _Figures(ProgressColumn):
             yield f'{datetime.timedelta(seconds=round(60 * left / pace))} left'
         if seen:
             worst = seen.worst
-            least = math.nan if worst is None else worst.robustness[worst.decisive].upper
+            least = math.nan if worst is None else worst.shown.upper
             yield f'lowest rho {rho_text(least)}'
         if len(seen) < search.options.runs:  # else it is about to vanish, and takes long once
             # A viewer may stop at any time: use the interval that is valid at every look.

@@ -24,7 +24,7 @@ from taxinet_ros.core.camera.solids import SolidDrawing, solid_drawing
 from taxinet_ros.core.rig.aircraft_model import AircraftModel
 from taxinet_ros.core.rig.camera_model import BY_HAND, CameraModel
 from taxinet_ros.core.rig.catalogue import DEFAULT_AIRCRAFT, WING
-from taxinet_ros.core.rig.outline import Part
+from taxinet_ros.core.rig.outline import Part, corners_of
 
 Vectors = NDArray[np.float64]
 Mask = tuple[slice, slice, NDArray[np.uint8]]
@@ -57,13 +57,11 @@ class OwnShadow:
             height: of the pictures [px].
             width: of the pictures [px].
         """
-        points = np.concatenate([part.points for part in outline])
-        starts = np.cumsum([0, *(len(part.points) for part in outline[:-1])]).tolist()
         self._size = (height, width)
         self._penumbra_px = 1 + 2 * math.ceil(0.5 * intrinsics[0, 0] * _THROW * sun_width_rad)
         self._cast = pixels.Shadow(
-            points, starts, sun, intrinsics, self._size, _NEAREST_M, _FARTHEST_PX,
-            self._penumbra_px,
+            *corners_of([part.points for part in outline]), sun, intrinsics, self._size,
+            _NEAREST_M, _FARTHEST_PX, self._penumbra_px,
         )
 
     def mask(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.atmosphere import Atmosphere
 from taxinet_ros.core.camera.light import GAMMA, CloudShade, Light, display_code
+from taxinet_ros.core.rig.outline import corners_of
 from taxinet_ros.core.traffic.shapes import (
     PAINT,
     UNSEEN,
@@ -125,8 +126,9 @@ class ObjectsView:
         self._solids = {id(one): _Solid(one, light) for one in traffic.solids}
         self._buffer = np.empty(0, np.uint8)
         self._marks = [
-            (mark.pose_at(0), _joined(flat), np.array(daylight_colour(mark.colour)) * gain, opacity)
-            for mark in traffic.marks for flat, opacity in _flat(mark)
+            (mark.pose_at(0), corners_of(polygons), np.array(daylight_colour(mark.colour)) * gain,
+             opacity)
+            for mark in traffic.marks for polygons, opacity in _flat(mark)
         ]
 
     def paint_marks(
@@ -252,11 +254,6 @@ def _flat(mark: GroundObject) -> Iterator[tuple[list[Vectors], float]]:
         yield [np.pad(np.array(one) * mark.size[:2], ((0, 0), (0, 1))) for one in polygons], opacity
 
 
-def _joined(parts: Sequence[Vectors]) -> _Joined:
-    """Corners (n, 3) of all parts, and the first one of each."""
-    return np.concatenate(parts), np.cumsum([0, *(len(one) for one in parts[:-1])]).tolist()
-
-
 @lru_cache(maxsize=64)
 def _parts(kind: str, size: Size) -> list[Part]:
     return [part for part in body(kind, size) if part.colour != UNSEEN]
@@ -277,7 +274,7 @@ def _faces(kind: str, size: Size) -> tuple[Vectors, list[int], Vectors]:
                 about += [corners.mean(axis=0), face_normal(corners), middle]
             group = []
     faces = [part.corners[list(face)] for part in parts for face in part.faces]
-    return *_joined(faces), np.array(about)
+    return *corners_of(faces), np.array(about)
 
 
 class _Solid:
@@ -286,8 +283,8 @@ class _Solid:
     def __init__(self, one: GroundObject, light: Light) -> None:
         parts = _parts(one.kind, one.size)
         corners = [part.corners for part in parts]
-        self.parts = _joined(corners)
-        self.low = _joined([part for part in corners if part[:, 2].min() < _CLEAR_UNDER_M])
+        self.parts = corners_of(corners)
+        self.low = corners_of([part for part in corners if part[:, 2].min() < _CLEAR_UNDER_M])
         self.faces = _faces(one.kind, one.size)
         self._light, self._normals = light, self.faces[2][1::3]
         colours = [

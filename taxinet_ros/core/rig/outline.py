@@ -6,7 +6,7 @@ Coordinates are in the body frame: x forward, y left, z up from the reference po
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -47,6 +47,13 @@ class Part:
     caps: tuple[bool, bool] = (True, True)
     shades: bool = True
     seen: bool = True
+
+
+def corners_of(
+    parts: Sequence[NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], list[int]]:
+    """Corners (N, d) of all parts, each given by its own (n, d), and the first one of each."""
+    return np.concatenate(parts), np.cumsum([0, *(len(one) for one in parts[:-1])]).tolist()
 
 
 def read_outline(top: Section) -> tuple[Part, ...]:

@@ -208,8 +208,9 @@ def replay(
     """
     if target not in _ANSWERS:
         raise UsageError(f'into {target}: not a replay target; known: {", ".join(TARGETS)}')
-    scene = run.request.scenario
-    inputs, sensors = _inputs(target, perception), _sensors(scene, target, perception, controller)
+    word = perception if target == interface.PERCEPTION else controller
+    scene, part = run.request.scenario, _part(target, word)
+    inputs, sensors = _inputs(target, part), _sensors(scene, target, word, part)
     present = {interface.SENSORS[name] for name in scene.sensor_set.names}
     played = (*inputs, *(topic for topic in sensors if topic in present))
     answer = _ANSWERS[target]
@@ -281,20 +282,28 @@ def play_pictures(
             for seq in sorted(player.answers)]
 
 
-def _sensors(scene: Scene, target: str, perception: str, controller: str) -> tuple[Topic, ...]:
+def _part(target: str, word: str) -> Perception | Controller | None:
+    """What the node runs; None of the monitor.
+
+    Raises:
+        UsageError: see :func:`make_perception` and :func:`make_controller`.
+    """
+    if target == interface.PERCEPTION:
+        return make_perception(word)
+    if target == interface.STEERING_CONTROLLER:
+        return make_controller(word, SteeringGains())
+    return None
+
+
+def _sensors(
+    scene: Scene, target: str, word: str, part: Perception | Controller | None
+) -> tuple[Topic, ...]:
     """Topics of the sensors that the node listens to.
 
     Raises:
         UsageError: it is a function that asks for some, and the run has none.
     """
-    part: Perception | Controller
-    if target == interface.PERCEPTION:
-        word, part = perception, make_perception(perception)
-    elif target == interface.STEERING_CONTROLLER:
-        word, part = controller, make_controller(controller, SteeringGains())
-    else:
-        return ()
-    if not part.needs_sensors:
+    if part is None or not part.needs_sensors:
         return ()
     there = scene.sensor_set.present or scene.hold_lines
     if not there and isinstance(part, UserPerception | UserController):
@@ -305,9 +314,9 @@ def _sensors(scene: Scene, target: str, perception: str, controller: str) -> tup
     )
 
 
-def _inputs(target: str, perception: str) -> tuple[Topic, ...]:
+def _inputs(target: str, part: Perception | Controller | None) -> tuple[Topic, ...]:
     """Input topics of a node in every step."""
-    looks = target != interface.PERCEPTION or make_perception(perception).needs_image
+    looks = target != interface.PERCEPTION or part is None or part.needs_image
     unused = interface.TRUTH if looks else interface.IMAGE
     return tuple(
         topic for topic in interface.TOPICS

@@ -349,6 +349,11 @@ class RunRow(_SceneColumns):
         """The formula that a judged run is shown by: the headline unless only another failed."""
         return decisive(self.robustness)
 
+    @property
+    def shown(self) -> RobustnessInterval:
+        """The robustness of that formula."""
+        return self.robustness[self.decisive]
+
     def about(self, spec: str) -> Self:
         """The judged row with another of its formulas as the headline, before the others."""
         return dataclasses.replace(
