@@ -206,6 +206,7 @@ class Sensing:
             if (one := self._pending.pop((sensor.name, number), None)) is not None:
                 found.setdefault(sensor.name, []).append(one)
         values = {name: tuple(values) for name, values in found.items()}
+        # A sensor is named as the field that has its measurements, which mypy cannot know.
         return Measured(**values, hold_lines_m=self._schedule.uncleared_m(self._seq))  # type: ignore[arg-type]
 
     def _measure(self, begin_ns: int, states: Sequence[AircraftState]) -> None:
