@@ -71,6 +71,16 @@ INLINE float clipped(float number, float least, float most) {
 INLINE std::int32_t lesser(std::int32_t a, std::int32_t b) { return a < b ? a : b; }
 INLINE std::int32_t greater(std::int32_t a, std::int32_t b) { return a > b ? a : b; }
 
+// Of positive numbers, whose bits are in their order: compilers find no minimum of what was bits.
+INLINE float lesser(float a, float b) {
+    const auto bits_a = std::bit_cast<std::int32_t>(a), bits_b = std::bit_cast<std::int32_t>(b);
+    return std::bit_cast<float>(lesser(bits_a, bits_b));
+}
+INLINE float greater(float a, float b) {
+    const auto bits_a = std::bit_cast<std::int32_t>(a), bits_b = std::bit_cast<std::int32_t>(b);
+    return std::bit_cast<float>(greater(bits_a, bits_b));
+}
+
 INLINE std::int32_t within(std::int32_t number, std::int32_t most) {
     return lesser(number < 0 ? 0 : number, most);
 }

@@ -29,18 +29,14 @@ struct Linear {
 
 // Position of one pixel in a texture of this size, clamped to its border.
 struct Place {
-    std::int32_t offset, across, down;
+    std::int32_t offset, weights;
 
     // Row and column are in steps.
     INLINE Place(int rows, int columns, float row, float column) {
-        const std::int32_t y = within(rounded(row), (rows - 1) * kSteps);
-        const std::int32_t x = within(rounded(column), (columns - 1) * kSteps);
-        const std::int32_t top = lesser(y >> kStepBits, rows - 2);
-        const std::int32_t left = lesser(x >> kStepBits, columns - 2);
-        offset = (top * columns + left) * kChannels;
-        const std::int32_t both = weights_of(x - left * kSteps, 8);
-        across = both << 16 | both;
-        down = weights_of(y - top * kSteps, 16);
+        const std::int32_t y = within(rounded(row), (rows - 1) * kSteps - 1);
+        const std::int32_t x = within(rounded(column), (columns - 1) * kSteps - 1);
+        offset = ((y >> kStepBits) * columns + (x >> kStepBits)) * kChannels;
+        weights = weights_of(x & (kSteps - 1), y & (kSteps - 1));
     }
 };
 
@@ -50,8 +46,23 @@ struct View {
     Linear along, across, grain_along, grain_across;
 };
 
+// Pixels whose places are found together: whole vectors on every processor.
+constexpr int kBlock = 16;
+
+int whole_blocks(int pixels) { return (pixels + kBlock - 1) / kBlock * kBlock; }
+
+// Maximum of non-negative numbers.
+INLINE std::int32_t greatest(const std::int32_t *numbers, int count) {
+    std::int32_t most = 0;
+    for (int i = 0; i < count; ++i) {
+        most = greater(most, numbers[i]);
+    }
+    return most;
+}
+
+// Places of whole blocks of pixels.
 FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int v, int first,
-                                    int width, const float *__restrict dither, bool grained,
+                                    int blocks, const float *__restrict dither, bool grained,
                                     const Texture &atlas, const Texture &tile, Places &ground,
                                     Places &grain) {
     const Linear along_form = view.along, across_form = view.across;
@@ -62,18 +73,17 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     const float *__restrict along_by_column = view.density_along.by_column.data();
     const float *__restrict across_by_column = view.density_across.by_column.data();
     std::int32_t *__restrict ground_offset = ground.offset.data();
-    std::int32_t *__restrict ground_across = ground.across.data();
-    std::int32_t *__restrict ground_down = ground.down.data();
+    std::int32_t *__restrict ground_weights = ground.weights.data();
     std::int32_t *__restrict grain_offset = grain.offset.data();
-    std::int32_t *__restrict grain_across = grain.across.data();
-    std::int32_t *__restrict grain_down = grain.down.data();
+    std::int32_t *__restrict grain_weights = grain.weights.data();
     const float fall_of_row = view.fall.by_row[v];
     const float along_of_row = view.density_along.by_row[v];
     const float across_of_row = view.density_across.by_row[v];
     const int atlas_rows = atlas.rows, atlas_columns = atlas.columns;
     const int tile_rows = tile.rows, tile_columns = tile.columns;
+    const int count = blocks * kBlock;
     INDEPENDENT
-    for (int u = first; u < width; ++u) {
+    for (int u = first; u < first + count; ++u) {
         // Pixels of the sky use the farthest ground.
         float fall = fall_by_column[u] + fall_of_row;
         fall = fall < ruler.least_fall ? ruler.least_fall : fall;
@@ -97,25 +107,24 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
             atlas_rows, atlas_columns, ruler.along.on_level(along_form.at(uw, w), along),
             ruler.across.on_level(__builtin_fmaf(inside, ruler.bend.factor, coarse), level));
         ground_offset[u] = on_ground.offset;
-        ground_across[u] = on_ground.across;
-        ground_down[u] = on_ground.down;
+        ground_weights[u] = on_ground.weights;
         if (grained) {
             const Place in_grain(
                 tile_rows, tile_columns,
                 ruler.grain_along.on_level(grain_along_form.at(uw, w), along),
                 ruler.grain_across.on_level(grain_across_form.at(uw, w), across));
             grain_offset[u] = in_grain.offset;
-            grain_across[u] = in_grain.across;
-            grain_down[u] = in_grain.down;
+            grain_weights[u] = in_grain.weights;
         }
     }
+    ground.furthest = greatest(ground_offset + first, count);
+    grain.furthest = grained ? greatest(grain_offset + first, count) : 0;
 }
 
 // Neighbours share lines of the cache, but not those of other levels: every third pixel has another
 // dither, so that all levels are among them.
-void ask_for(const Texture &texture, const Places &places, int first) {
+void ask_for(const Texture &texture, const Places &places, int first, int width) {
     constexpr int kApart = 3;
-    const int width = static_cast<int>(places.offset.size());
     const std::int32_t *offset = places.offset.data();
     const std::ptrdiff_t stride = texture.stride();
     for (int u = first; u < width; u += kApart) {
@@ -127,19 +136,26 @@ void ask_for(const Texture &texture, const Places &places, int first) {
 
 }  // namespace
 
-Ground::Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
+Ground::Ground(Bytes atlas, Bytes grain, const Floats &dither, const Ruler &ruler,
                const std::array<int, 3> &neutral, float scale)
     : atlas_(std::move(atlas)),
       grain_(std::move(grain)),
-      dither_(std::move(dither)),
       ruler_(ruler.in_steps()),
       neutral_(neutral),
       scale_(scale),
-      height_(static_cast<int>(dither_.shape(0))),
-      width_(static_cast<int>(dither_.shape(1))),
-      ground_places_{Places(width_), Places(width_)},
-      grain_places_{Places(width_), Places(width_)},
-      row_(static_cast<std::size_t>(width_) * kChannels + kBytesBeyond) {}
+      height_(static_cast<int>(dither.shape(0))),
+      width_(static_cast<int>(dither.shape(1))),
+      whole_width_(whole_blocks(width_)),
+      dither_(static_cast<std::size_t>(height_) * whole_width_),
+      ground_places_{Places(whole_width_), Places(whole_width_)},
+      grain_places_{Places(whole_width_), Places(whole_width_)},
+      row_(static_cast<std::size_t>(width_) * kChannels + kBytesBeyond) {
+    for (int v = 0; v < height_; ++v) {
+        const float *row = dither.data(v);
+        float *whole = dither_.data() + static_cast<std::size_t>(v) * whole_width_;
+        std::fill(std::copy_n(row, width_, whole), whole + whole_width_, row[width_ - 1]);
+    }
+}
 
 void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
     require(out.ndim() == 3 && out.shape(0) == height_ && out.shape(1) == width_ &&
@@ -150,19 +166,22 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
                                                         return 0 <= columns && columns <= width_;
                                                     }),
             "so many columns are hidden in each row, no more than it has");
-    const View view{sight.fall(),
-                    sight.density(0, kSteps * ruler_.along.texel_m),
-                    sight.density(1, kSteps * ruler_.across.texel_m),
-                    Linear(sight.coordinate(0, ruler_.along.unit_m, ruler_.along.origin)),
-                    Linear(sight.coordinate(1, ruler_.across.unit_m, ruler_.across.origin)),
-                    Linear(sight.coordinate_in_tile(0, ruler_.tile_m)),
-                    Linear(sight.coordinate_in_tile(1, ruler_.tile_m))};
+    View view{sight.fall(),
+              sight.density(0, kSteps * ruler_.along.texel_m),
+              sight.density(1, kSteps * ruler_.across.texel_m),
+              Linear(sight.coordinate(0, ruler_.along.unit_m, ruler_.along.origin)),
+              Linear(sight.coordinate(1, ruler_.across.unit_m, ruler_.across.origin)),
+              Linear(sight.coordinate_in_tile(0, ruler_.tile_m)),
+              Linear(sight.coordinate_in_tile(1, ruler_.tile_m))};
     const int first_grain_row = sight.first_row_nearer_than(ruler_.grain_reach_m);
     const std::size_t stride = static_cast<std::size_t>(width_) * kChannels;
     std::uint8_t *target = out.mutable_data();
     const float *dither = dither_.data();
     const auto &[column_falls, row_falls] = view.fall;
     const float steepest = std::max(column_falls.front(), column_falls.back());
+    for (Parts *parts : {&view.fall, &view.density_along, &view.density_across}) {
+        parts->by_column.resize(whole_width_, parts->by_column.back());
+    }
     int top = 0;
     while (top < height_ && steepest + row_falls[top] <= 0) {
         ++top;
@@ -173,12 +192,12 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
         if (v < height_) {
             Places &ground = ground_places_[v % 2], &grain = grain_places_[v % 2];
             const bool grained = v >= first_grain_row;
-            const int first = hidden.data()[v];
-            find_places(view, ruler_, v, first, width_,
-                        dither + static_cast<std::size_t>(v) * width_, grained, atlas_, grain_,
-                        ground, grain);
+            const int first = hidden.data()[v] / kBlock * kBlock;
+            find_places(view, ruler_, v, first, (whole_width_ - first) / kBlock,
+                        dither + static_cast<std::size_t>(v) * whole_width_, grained, atlas_,
+                        grain_, ground, grain);
             if (grained) {
-                ask_for(grain_, grain, first);
+                ask_for(grain_, grain, first, width_);
             }
         }
         if (v > top) {
@@ -186,7 +205,7 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
             const Layer grain{v > first_grain_row ? &grain_ : nullptr, &grain_places_[(v - 1) % 2],
                               neutral_};
             const int first = hidden.data()[v - 1], skipped = first * kChannels;
-            multiply_row(ground, grain, scale_, first, width_, row_.data());
+            multiply_row(ground, grain, scale_, first / kBlock * kBlock, width_, row_.data());
             std::memcpy(target + (v - 1) * stride + skipped, row_.data() + skipped,
                         stride - skipped);
         }

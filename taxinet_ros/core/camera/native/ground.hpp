@@ -22,7 +22,7 @@ struct Axis {
 
     // With more pixels than texels the finest level is read.
     INLINE float on_level(float coordinate, float level) const {
-        return clipped(coordinate, least, most) * clipped(level, coarsest, finest) + end;
+        return clipped(coordinate, least, most) * lesser(greater(level, coarsest), finest) + end;
     }
 };
 
@@ -42,7 +42,7 @@ struct Tile {
         const float whole = __builtin_floorf(place);
         const float start = __builtin_fmaf(whole, -texels, -two_tiles);
         const float part = __builtin_fmaf(place, texels, start);
-        return part * (level > finest ? finest : level) + end;
+        return part * lesser(level, finest) + end;
     }
 };
 
@@ -74,7 +74,7 @@ class Ground {
   public:
     // Dither and images have the same size. neutral: grain value beyond the grain's reach; scale:
     // factor on the product of grain and ground.
-    Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
+    Ground(Bytes atlas, Bytes grain, const Floats &dither, const Ruler &ruler,
            const std::array<int, 3> &neutral, float scale);
 
     // Renders the ground for one pose, without the hidden columns at the left of each row and the
@@ -83,11 +83,11 @@ class Ground {
 
   private:
     Texture atlas_, grain_;
-    Floats dither_;
     Ruler ruler_;
     std::array<int, 3> neutral_;
     float scale_;
-    int height_, width_;
+    int height_, width_, whole_width_;
+    std::vector<float> dither_;  // of whole_width_ columns
     std::array<Places, 2> ground_places_, grain_places_;
     std::vector<std::uint8_t> row_;
 };

@@ -99,7 +99,7 @@ PYBIND11_MODULE(pixels, module) {
              py::arg("grain_along"), py::arg("grain_across"), py::arg("tile_m"),
              py::arg("grain_reach_m"));
     py::class_<Ground>(module, "Ground")
-        .def(py::init<Bytes, Bytes, Floats, const Ruler &, const std::array<int, 3> &, float>(),
+        .def(py::init<Bytes, Bytes, const Floats &, const Ruler &, const std::array<int, 3> &, float>(),
              py::arg("atlas").noconvert(), py::arg("grain").noconvert(), py::arg("dither"),
              py::arg("ruler"), py::arg("neutral"), py::arg("scale"))
         .def("sample", &Ground::sample, py::arg("out").noconvert(), py::arg("sight"),

@@ -242,11 +242,34 @@ Kernels fastest() {
     return {convolve_row, add_row_of};
 }
 
+#if defined(WITH_VECTORS)
+
+AVX512 void mark_sixteens(Plane &plane, bool rectified) {
+    const __m512 zero = _mm512_setzero_ps();
+    for (std::size_t i = 0; i < plane.numbers.size(); ++i) {
+        float *number = plane.numbers[i].number;
+        const __m512 before = _mm512_load_ps(number);
+        // The second operand is the result if one is NaN.
+        const __m512 after = rectified ? _mm512_max_ps(zero, before) : before;
+        _mm512_store_ps(number, after);
+        plane.marks[i] = _mm512_cmp_ps_mask(after, zero, _CMP_NEQ_UQ);
+    }
+}
+
+#endif
+
 // Turns negative numbers to zero if asked, and marks those that are not zero.
 void mark(Plane &plane, bool rectified) {
     if (plane.channels % kLanes != 0) {
         return;  // no layer asks for the marks, and this one is rectified already
     }
+#if defined(WITH_VECTORS)
+    static const bool by_sixteen = __builtin_cpu_supports("avx512bw");
+    if (by_sixteen) {
+        mark_sixteens(plane, rectified);
+        return;
+    }
+#endif
     for (std::size_t i = 0; i < plane.numbers.size(); ++i) {
         float *number = plane.numbers[i].number;
         std::uint32_t bits = 0;

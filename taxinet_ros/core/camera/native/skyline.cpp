@@ -59,8 +59,8 @@ void interpolate_alone(const float *sparse, const std::int32_t *left, const floa
 FOR_EACH_PROCESSOR void find_places(const float *__restrict across, const float *__restrict up,
                                     int width, int columns, int rows, Places &places) {
     std::int32_t *__restrict offset = places.offset.data();
-    std::int32_t *__restrict across_weights = places.across.data();
-    std::int32_t *__restrict down_weights = places.down.data();
+    std::int32_t *__restrict weights = places.weights.data();
+    std::int32_t furthest = 0;
     INDEPENDENT
     for (int u = 0; u < width; ++u) {
         const std::int32_t x = rounded(across[u] * kSteps), y = rounded(up[u] * kSteps);
@@ -69,10 +69,10 @@ FOR_EACH_PROCESSOR void find_places(const float *__restrict across, const float 
         left -= left < columns ? 0 : columns;
         const std::int32_t top = lesser(y >> kStepBits, rows - 2);
         offset[u] = (top * (columns + 2) + left) * kChannels;
-        const std::int32_t both = weights_of(x & (kSteps - 1), 8);
-        across_weights[u] = both << 16 | both;
-        down_weights[u] = weights_of(y - top * kSteps, 16);
+        weights[u] = weights_of(x & (kSteps - 1), y - top * kSteps);
+        furthest = greater(furthest, offset[u]);
     }
+    places.furthest = furthest;
 }
 
 }  // namespace

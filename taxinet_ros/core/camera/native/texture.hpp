@@ -30,17 +30,19 @@ struct Texture {
 };
 
 // Positions of the pixels of one image row between four texels of a texture: offset of the upper
-// left texel; weights of left and right, a byte each, twice; weights of above and below, half a
-// word each. Each pair of weights adds up to 32.
+// left texel; weights of left, right, above and below, a byte each. Each pair adds up to 32.
 struct Places {
-    std::vector<std::int32_t> offset, across, down;
+    std::vector<std::int32_t> offset, weights;
+    std::int32_t furthest = 0;  // no offset is greater
 
-    explicit Places(int width) : offset(width), across(width), down(width) {}
+    explicit Places(int width) : offset(width), weights(width) {}
 };
 
-// Weights of the first and the second of two texels, packed this many bits apart.
-INLINE std::int32_t weights_of(std::int32_t second, int bits) {
-    return (second << bits) + kSteps - second;
+// Weights of four texels, from those of the right and the lower ones.
+INLINE std::int32_t weights_of(std::int32_t right, std::int32_t below) {
+    constexpr std::int32_t kBoth = kSteps << 16 | kSteps;
+    const std::int32_t seconds = below << 16 | right;
+    return (seconds << 8) - seconds + kBoth;
 }
 
 // Bilinear interpolation of one channel; weights of the right and lower texels are in 32 steps.
