@@ -23,6 +23,15 @@ INLINE std::uint8_t sum_of(std::uint8_t a, std::uint8_t b) {
 
 using Codes = std::array<std::uint8_t, kChannels>;
 
+// Codes of a mask that are compared at once.
+constexpr int kTogether = 8;
+
+INLINE std::uint64_t eight_codes(const std::uint8_t *codes) {
+    std::uint64_t eight;
+    std::memcpy(&eight, codes, sizeof(eight));
+    return eight;
+}
+
 // Nearest code, 0 to 255, without prior rounding to single precision.
 std::uint8_t exact_code_of(double number) {
     return static_cast<std::uint8_t>(std::clamp(std::nearbyint(number), 0.0, 255.0));
@@ -170,7 +179,6 @@ void tint_rows(Picture picture, const Doubles &shares) {
 void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3> &depth) {
     const Rows rows(picture);
     require_mask(mask, rows);
-    constexpr int kEight = 8;  // pixels whose codes are compared at once
     // One extra byte, because four are written at once.
     std::array<std::array<std::uint8_t, kChannels + 1>, 256> left{};
     for (int code = 0; code < 256; ++code) {
@@ -182,23 +190,22 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
     for (int v = 0; v < rows.count; ++v) {
         const std::uint8_t *code = mask.data(v);
         int first = 0, end = rows.width;
-        while (first < end && code[first] == 0) {
-            ++first;
+        while (first + kTogether <= end && eight_codes(code + first) == 0) {
+            first += kTogether;
         }
-        while (end > first && code[end - 1] == 0) {
-            --end;
+        while (end - kTogether >= first && eight_codes(code + end - kTogether) == 0) {
+            end -= kTogether;
         }
         int u = first;
-        for (std::uint64_t before = 0; u + kEight <= end; u += kEight) {
-            std::uint64_t now;
-            std::memcpy(&now, code + u, sizeof(now));
+        for (std::uint64_t before = 0; u + kTogether <= end; u += kTogether) {
+            const std::uint64_t now = eight_codes(code + u);
             std::uint8_t *target = &share[kChannels * u];
             if (u > first && now == before) {  // most are in full light or in full shade
-                std::memcpy(target, target - kChannels * kEight, kChannels * kEight);
+                std::memcpy(target, target - kChannels * kTogether, kChannels * kTogether);
                 continue;
             }
             before = now;
-            for (int i = 0; i < kEight; ++i) {
+            for (int i = 0; i < kTogether; ++i) {
                 std::memcpy(target + kChannels * i, left[code[u + i]].data(), kChannels + 1);
             }
         }
