@@ -43,6 +43,7 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import clock_words
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
@@ -54,6 +55,7 @@ TEXT = Path(__file__).with_name('compared.j2')
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
 BEFORE, AFTER = 'before.parquet', 'after.parquet'
 _OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, 'compared.png', 'bisect.json'}
+_OPEN = (Outcome.INFRA_ERROR.value, Outcome.INTERRUPTED.value)
 _SIGNIFICANT = 0.05
 _SHOWN = ('time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg')
 _MOST_SHOWN = 15.0
@@ -95,9 +97,19 @@ class Compared:
         return len(self.before.frame) + len(self.after.frame) - 2 * common
 
     @property
+    def unknown(self) -> int:
+        """Greatest number of further common scenes of which a run has no verdict."""
+        common = len(self.scenes) + self.uncounted
+        (lost, alone), (lost_after, alone_after) = (
+            (sum(some.others.get(outcome, 0) for outcome in _OPEN), len(some.frame) - common)
+            for some in (self.before, self.after)
+        )
+        return min(lost, alone_after + lost_after) + min(lost_after, alone + lost)
+
+    @property
     def clear(self) -> bool:
-        """Whether the satisfied shares differ significantly."""
-        return self.tested and self.satisfied.p_value < _SIGNIFICANT
+        """Whether the satisfied shares differ significantly, whatever the unknown runs gave."""
+        return self.tested and self.satisfied.p_at_most(self.unknown) < _SIGNIFICANT
 
 
 def compared(before: CampaignRuns, after: CampaignRuns, *, alpha: float = 0.05) -> Compared:
@@ -116,6 +128,11 @@ def compared(before: CampaignRuns, after: CampaignRuns, *, alpha: float = 0.05) 
         raise UsageError(
             f'{before.path} is judged by {before.spec}, {after.path} by {after.spec}; compare '
             'runs of one requirement'
+        )
+    if before.formula and after.formula and before.formula != after.formula:
+        raise UsageError(
+            f'{before.path} is judged by {before.spec}={before.formula}, {after.path} by '
+            f'{after.spec}={after.formula}; compare runs of one requirement'
         )
     both = common_scenes(after, before)
     if both.empty:
@@ -261,7 +278,7 @@ def compared_json(found: Compared) -> dict[str, Any]:
     return plain({
         'before': found.before.label, 'after': found.after.label, 'spec': found.after.spec,
         'scenes': rates.pairs, 'unpaired': found.unpaired,
-        'uncounted': found.uncounted, 'tested': found.tested,
+        'uncounted': found.uncounted, 'unknown': found.unknown, 'tested': found.tested,
         'satisfied': {
             'before': rates.first, 'after': rates.second, 'better': rates.only_second,
             'worse': rates.only_first, 'both': rates.both, 'neither': rates.neither,

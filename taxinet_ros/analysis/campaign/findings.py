@@ -111,23 +111,32 @@ def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> Basel
 def common_scenes(
     runs: CampaignRuns, baseline: CampaignRuns, *, all_runs: bool = False
 ) -> pd.DataFrame:
-    """Scenes that both were run in, each once; of the runs that count, where both have rates.
+    """Scenes that both were run in; of the runs that count, where both have rates.
 
-    Scenes are the same if all keys are, numbers to the last stored digit. With ``all_runs``, those
-    of runs that do not count are among them.
+    Scenes are the same if all keys are, numbers to the last stored digit. Of a scene that was drawn
+    several times, first is paired with first, and so on. With ``all_runs``, those of runs that do
+    not count are among them.
 
     Returns:
         The scene by key, and ``row`` and ``failed`` of either, the baseline's as ``row_there`` and
         ``failed_there``; rows are those of the campaigns' frames.
     """
     rated = runs.weighting.rated and baseline.weighting.rated and not all_runs
-    keys = list(SCENE_COLUMNS)
-    one, other = (
+    return paired_scenes(*(
         some.scenes.assign(failed=some.failed, row=np.arange(len(some.frame)))[
             (some.weight == 1) if rated else slice(None)
-        ].round(_DIGITS).drop_duplicates(keys) for some in (runs, baseline)
+        ] for some in (runs, baseline)
+    ))
+
+
+def paired_scenes(one: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+    """Join equal scenes, the n-th of each with the n-th; the other's columns end in ``_there``."""
+    keys = list(SCENE_COLUMNS)
+    first, second = (
+        some.assign(nth=some.groupby(keys, dropna=False, sort=False).cumcount())
+        for some in (one.round(_DIGITS), other.round(_DIGITS))
     )
-    return one.merge(other, on=keys, suffixes=('', '_there'))
+    return first.merge(second, on=[*keys, 'nth'], suffixes=('', '_there'))
 
 
 def _pairs(runs: CampaignRuns, baseline: CampaignRuns) -> PairedRates:
@@ -160,7 +169,7 @@ def _settings(runs: CampaignRuns) -> dict[str, Any]:
         'world': recorded_world(runs.facts), 'timing': settings.timing,
         'stop rule': judging.stop_on, 'assumed bounds': judging.bounds,
         'assumed rates': judging.rates,
-        f'the formula {runs.spec}': runs.facts.get('specs', {}).get(runs.spec),
+        f'formula {runs.spec}': runs.formula,
     }
 
 

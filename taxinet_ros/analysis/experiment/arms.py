@@ -46,7 +46,8 @@ class ArmComparison:
         settle_time_s: settling time of runs that settle in both arms [s].
         settled: whether runs settle on the centreline, where it is known in both arms.
         satisfied_p, rho_p: p values of these two, adjusted for all arms that the experiment
-            compares with its base (Holm); NaN without pairs.
+            compares with its base (Holm); NaN without pairs. The first is the greatest that results
+            of scenes without a verdict could leave.
     """
 
     base: str
@@ -125,6 +126,7 @@ def compare_arms(
         if row.outcome.judged and row.index in by_index
     )
     numbers = {row.index for row in (*base_rows, *rows)}
+    rejected = {row.index for row in (*base_rows, *rows) if row.outcome is Outcome.REJECTED}
     firsts, seconds = [one for one, _ in pairs], [other for _, other in pairs]
 
     def shift(name: str) -> PairedShift:
@@ -136,7 +138,8 @@ def compare_arms(
     rho = shift('rho')
     return ArmComparison(
         base=base, arm=arm, pairs=pairs, unpaired=len(numbers) - len(pairs),
-        satisfied=satisfied, satisfied_p=satisfied.p_value, rho=rho, rho_p=rho.p_value,
+        satisfied=satisfied, rho=rho, rho_p=rho.p_value,
+        satisfied_p=satisfied.p_at_most(len(numbers - rejected) - len(pairs)),
         off_runway=_known_rates(pairs, lambda row: row.left_runway),
         max_cross_track_m=shift('max_cross_track_m'),
         settle_time_s=shift('settle_time_s'),

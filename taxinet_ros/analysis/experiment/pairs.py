@@ -59,6 +59,15 @@ class PairedRates:
             return 1.0
         return float(binomtest(self.only_first, differing, 0.5).pvalue)
 
+    def p_at_most(self, unknown: int) -> float:
+        """Greatest p value that so many further pairs can leave, whatever their results."""
+        fewer, more = sorted((self.only_first, self.only_second))
+        if not (unknown and self.pairs):
+            return self.p_value
+        if fewer + unknown >= more:
+            return 1.0
+        return float(binomtest(more, fewer + unknown + more, 0.5).pvalue)
+
     @property
     def difference(self) -> ConfidenceInterval:
         """Rate of the second arm minus that of the first, with its 95 % interval.
@@ -105,6 +114,7 @@ class PairedShift:
         pairs: number of pairs that have it in both arms.
         change: typical difference, second minus first, with its interval.
         more, less: number of pairs in which it grows or shrinks; it is equal in the others.
+        grows: whether growth outweighs in the signed ranks; the typical change may be 0.
         p_value: p value of the hypothesis of no change; NaN without pairs.
     """
 
@@ -112,6 +122,7 @@ class PairedShift:
     change: ConfidenceInterval
     more: int
     less: int
+    grows: bool
     p_value: float
 
 
@@ -127,9 +138,11 @@ def paired_shift(first: Sequence[float], second: Sequence[float]) -> PairedShift
     differences = np.array(second, dtype=np.float64) - np.array(first, dtype=np.float64)
     differences = differences[np.isfinite(differences)]
     more, less = int((differences > 0).sum()), int((differences < 0).sum())
+    changes = differences[differences != 0]
     return PairedShift(
         pairs=len(differences), change=_typical(differences), more=more, less=less,
-        p_value=_signed_rank_p(differences[differences != 0]) if len(differences) else math.nan,
+        grows=bool(np.dot(np.sign(changes), rankdata(np.abs(changes))) > 0),
+        p_value=_signed_rank_p(changes) if len(differences) else math.nan,
     )
 
 

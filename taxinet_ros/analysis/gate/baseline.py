@@ -30,6 +30,7 @@ import pandas as pd
 from scipy.stats import binom
 
 from taxinet_ros.analysis.campaign.compared import Compared, compared
+from taxinet_ros.analysis.campaign.findings import paired_scenes
 from taxinet_ros.analysis.experiment.pairs import PairedRates
 from taxinet_ros.analysis.gate.criteria import MOST_RUNS, TEXT, Bounds, Criterion, Kind, Verdict
 from taxinet_ros.analysis.report.text import macro_text
@@ -238,10 +239,10 @@ def _changed(changed: pd.DataFrame, *, worse: bool) -> tuple[Changed, ...]:
 
 def _unknown(frame: pd.DataFrame, other: pd.DataFrame) -> int:
     """Number of scenes that both have, of which a run was not judged."""
-    keys = list(SCENE_COLUMNS)
-    scenes = [_scenes(one).assign(open=one['outcome'].isin(_OPEN)) for one in (frame, other)]
-    both = scenes[0].drop_duplicates(keys).merge(scenes[1].drop_duplicates(keys), on=keys)
-    return int((both['open_x'] | both['open_y']).sum())
+    both = paired_scenes(*(
+        scene_columns(one).assign(open=one['outcome'].isin(_OPEN)) for one in (frame, other)
+    ))
+    return int((both['open'] | both['open_there']).sum())
 
 
 def _scenes(frame: pd.DataFrame) -> pd.DataFrame:

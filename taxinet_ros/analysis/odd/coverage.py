@@ -296,13 +296,17 @@ def _check_alike(campaigns: Sequence[CampaignRuns]) -> None:
     first = campaigns[0]
     systems = [(one.perception, str(one.facts.get('controller', ''))) for one in campaigns]
     weights = [str(one.facts.get('perception_sha256', ''))[:12] for one in campaigns]
-    for one, system, sha in zip(campaigns, systems, weights, strict=True):
+    settings = [RunSettings.from_facts(one.facts) if one.facts else None for one in campaigns]
+    for one, system, sha, own in zip(campaigns, systems, weights, settings, strict=True):
         for what, mine, other in (
             ('perception', system[0], systems[0][0]), ('weights', sha, weights[0]),
             ('controller', system[1], systems[0][1]), ('formula', one.spec, first.spec),
+            (f'formula {one.spec}', one.formula, first.formula),
+            *((name, *(str(getattr(some, name)) if some else '' for some in (own, settings[0])))
+              for name in ('gains', 'timing')),
         ):
-            # A table without its record knows neither weights nor controller.
-            unknown = what in ('weights', 'controller') and '' in (mine, other)
+            # A table without its record knows hardly more than names.
+            unknown = what not in ('perception', 'formula') and '' in (mine, other)
             if mine != other and not unknown:
                 raise UsageError(
                     f'{one.path}: has {what} {mine or "(none)"}, but {first.path} '

@@ -221,6 +221,11 @@ class CampaignRuns:
     examined: Examined | None = None
 
     @property
+    def formula(self) -> str:
+        """Text of the formula that defines failure; '' if it is not recorded."""
+        return str(self.facts.get('specs', {}).get(self.spec, ''))
+
+    @property
     def scenes_words(self) -> str:
         """Display text of the scenes that rates are of: the program, with what was set of them."""
         overrides = {**self.facts.get('overrides', {}), **self.facts.get('laid_over', {})}

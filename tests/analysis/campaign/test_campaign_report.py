@@ -180,7 +180,7 @@ def test_given_other_settings_then_the_comparison_names_them(tmp_path):
         specs={'phi': 'always((cte <= 2))'}, timing='latency perception=0.2',
     )
     one = comparison()
-    assert one.differing == ('gains', 'world', 'timing', 'assumed bounds', 'the formula phi')
+    assert one.differing == ('gains', 'world', 'timing', 'assumed bounds', 'formula phi')
     assert 'Besides the network, these may differ: gains, world' in said_of(runs, one)
     baseline.facts.clear()
     assert 'no record' in said_of(runs, comparison())

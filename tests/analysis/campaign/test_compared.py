@@ -1,5 +1,6 @@
 """Two networks on the same scenes: known answers of shipped tables, and planted changes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -156,3 +157,46 @@ def test_given_scenes_that_a_sampler_chose_too_then_only_the_drawn_ones_count_an
     assert (found.satisfied.pairs, found.uncounted, found.unpaired) == (100, 100, 0)
     assert any(line.startswith('In no figure: 100 more scenes that both were run in')
                for line in compared_report(found).summary)
+
+
+def test_given_a_scene_that_was_drawn_often_then_each_of_its_runs_is_in_a_pair(tmp_path):
+    folders = []
+    for name, failing in (('before', 0), ('after', 150)):
+        (folder := tmp_path / name).mkdir()
+        table = planted_table(1, 5, lambda table: 0.0 * table['rain_percent'], **PLAIN)
+        table = pd.concat([table] * 200, ignore_index=True)
+        failed = np.arange(200) < failing
+        folders.append(planted_runs(table.assign(
+            index=range(200), run_id=[f'run-{number}' for number in range(200)], perception=name,
+            outcome=np.where(failed, 'FAIL', 'PASS'), rho_phi=np.where(failed, -1.0, 1.0),
+        ), folder))
+    found = compared(*folders)
+    assert (found.satisfied.pairs, found.satisfied.only_first, found.unpaired) == (200, 150, 0)
+    assert found.clear
+    assert compared_report(found).summary[0].startswith('after is worse than before.')
+
+
+def test_given_runs_without_verdict_then_nothing_is_clear_that_they_could_undo(tmp_path):
+    before, after = pair(
+        tmp_path, lambda table: 0.0 * table['rain_percent'],
+        lambda table: (table['run_id'].str[-3:].astype(int) < 9).astype(float))
+    assert compared(before, after).clear
+    (folder := tmp_path / 'crashing').mkdir()
+    crashed = pd.read_parquet(after.path)
+    open_ = crashed['index'].between(100, 104)
+    crashed.loc[open_, ['outcome', 'rho', 'rho_phi']] = ['INFRA_ERROR', np.nan, np.nan]
+    found = compared(before, planted_runs(crashed.assign(kind=np.where(open_, 'died', '')), folder))
+    assert (found.unknown, found.satisfied.only_first, found.clear) == (5, 9, False)
+    told = compared_report(found).summary
+    assert 'the scenes of which a run has no verdict could undo it' in told[0]
+    assert any('Runs of after without verdict: 5 INFRA_ERROR' in line for line in told)
+
+
+def test_given_formulas_of_one_name_then_different_ones_are_refused(tmp_path):
+    before, after = pair(tmp_path, *[lambda table: 0.0 * table['rain_percent']] * 2)
+    before, after = (
+        replace(some, facts={**some.facts, 'specs': {'phi': f'always(cte <= {limit})'}})
+        for some, limit in ((before, 1), (after, 2))
+    )
+    with pytest.raises(UsageError, match=r'judged by phi=always\(cte <= 1\), .* by phi=always'):
+        compared(before, after)

@@ -149,6 +149,12 @@ def test_given_several_campaigns_then_they_are_added_up_unless_that_means_nothin
     ):
         with pytest.raises(UsageError, match=message):
             odd_coverage(small(tmp_path), [one, wrong])
+    limits = [
+        dataclasses.replace(some, facts={**some.facts, 'specs': {'phi': f'always(cte <= {limit})'}})
+        for some, limit in ((one, 1), (other, 2))
+    ]
+    with pytest.raises(UsageError, match=r'has formula phi always\(cte <= 2\), but .* <= 1'):
+        odd_coverage(small(tmp_path), limits)
 
 
 def test_given_a_table_without_a_key_then_its_runs_are_not_inside(tmp_path):
