@@ -91,6 +91,11 @@ class Compared:
     uncounted: int = 0
 
     @property
+    def no_rate(self) -> str:
+        """Why shares are of these scenes only, as a clause; '' if they are rates."""
+        return self.before.no_rate or self.after.no_rate
+
+    @property
     def unpaired(self) -> int:
         """Number of runs of either network without a counterpart."""
         common = len(self.scenes) + self.uncounted
@@ -232,7 +237,6 @@ def compared_report(found: Compared) -> Report:
     """The page."""
     return fill_report(
         TEXT, {'f': found, 'one': found.before.label, 'other': found.after.label,
-               'samplers': sorted({runs.sampler for runs in (found.before, found.after)} - {''}),
                'least': LEAST_FAILURES},
         {'scenes': (_picture(found), changed_table(found))},
     )

@@ -388,6 +388,7 @@ def _wide(one: Any) -> bool:
 
 def _cautions(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
     lines = [line for one in campaigns for line in one.warnings]
+    lines += [f'no rate of {one.label}: {one.no_rate}' for one in campaigns if one.no_rate]
     programs = dict.fromkeys(one.program for one in campaigns)
     if len(programs) > 1:
         lines.append(

@@ -221,6 +221,17 @@ class CampaignRuns:
     examined: Examined | None = None
 
     @property
+    def no_rate(self) -> str:
+        """Why there is no failure rate, as a clause; '' if there is one."""
+        if self.weighting.rated:
+            return ''
+        if self.weighting is Weighting.UNDECIDED:
+            return f'runs were stopped before {self.spec} was decided'
+        if self.uncounted:
+            return 'the runs that the program itself drew follow one without a result'
+        return f'{f"the sampler {self.sampler}" if self.sampler else "a sampler"} chose the scenes'
+
+    @property
     def formula(self) -> str:
         """Text of the formula that defines failure; '' if it is not recorded."""
         return str(self.facts.get('specs', {}).get(self.spec, ''))

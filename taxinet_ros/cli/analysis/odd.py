@@ -184,5 +184,5 @@ def _cells(found: OddCoverage) -> Iterator[tuple[str, ...]]:
 
 def _rate_words(rate: GroupRate) -> str:
     if rate.runs and math.isnan(rate.low):
-        return 'no rate: a sampler chose them'
+        return 'no rate'
     return rate.words()
