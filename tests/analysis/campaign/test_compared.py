@@ -122,7 +122,7 @@ def test_given_scenes_chosen_by_results_then_there_is_no_test_and_the_reason_is_
         lambda table: 0.0 * table['rain_percent'], sampler='ce', weight=np.nan))
     assert (found.tested, found.clear) == (False, False)
     first = compared_report(found).summary[0]
-    assert first.startswith('No test says whether after is better than before: the scenes were')
+    assert first.startswith('No test says whether after is better than before: the sampler ce')
     assert compared_json(found)['satisfied']['mcnemar_p'] is None
 
 
