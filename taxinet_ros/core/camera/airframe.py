@@ -83,7 +83,7 @@ class OwnShadow:
         mask = np.zeros(self._size, np.uint8)
         for outline in outlines:
             hull = cv2.convexHull(outline)
-            cv2.fillConvexPoly(mask, hull, (255,), lineType=cv2.LINE_AA, shift=_SHIFT)
+            cv2.fillConvexPoly(mask, hull, (255,), cv2.LINE_AA, _SHIFT)
         soft = cv2.blur(mask[rows, columns], (self._penumbra_px, self._penumbra_px))
         return rows, columns, np.asarray(soft, np.uint8)
 
@@ -167,8 +167,8 @@ class _HandDrawing:
             facing = max(0.0, float(light.sun @ (cos * x - sin * y, sin * x + cos * y, z)))
             beam = light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
         shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
-        codes = display_code(self.albedo * shine)[self.paints]
-        return np.rint(codes * self.opacity).astype(np.uint8)
+        codes = display_code(self.albedo * shine) * self.opacity
+        return np.rint(codes).astype(np.uint8).take(self.paints, axis=0)
 
 
 @lru_cache(maxsize=8)
@@ -198,13 +198,13 @@ def _hand_drawing(camera: CameraModel, size: tuple[int, int]) -> _HandDrawing | 
     seen = np.pad(behind.any(axis=2), ((0, 0), (0, 1)), constant_values=True)
     hidden: NDArray[np.int32] = seen.argmax(axis=1).astype(np.int32)
     hidden.flags.writeable = False
-    colours = (mixed / np.maximum(weight, 1e-6) / 255).reshape(-1, 3)
+    colours = np.dstack([mixed / np.maximum(weight, 1e-6) / 255, weight]).reshape(-1, 4)
     # Far fewer than pixels, and each is lit once for every heading.
     palette, paints = np.unique(colours, axis=0, return_inverse=True)
     return _HandDrawing(
         rows=slice(0, height), columns=slice(0, width), behind=behind, hidden=hidden,
-        paints=paints.reshape(height, width), albedo=palette**GAMMA,
-        opacity=np.asarray(weight, np.float64),
+        paints=paints.reshape(height, width), albedo=palette[:, :3] ** GAMMA,
+        opacity=palette[:, 3:],
     )
 
 

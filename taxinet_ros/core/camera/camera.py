@@ -46,7 +46,7 @@ from taxinet_ros.core.camera.objects import ObjectsView, Placed
 from taxinet_ros.core.datarefs import refuse_datarefs
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
-from taxinet_ros.core.rig.camera_model import CameraModel, rotation
+from taxinet_ros.core.rig.camera_model import CameraModel
 from taxinet_ros.core.rig.catalogue import WING
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.traffic.traffic import NOTHING_HELD, Holds
@@ -81,13 +81,12 @@ def pose(state: AircraftState, camera: CameraModel = WING) -> tuple[Vectors, Vec
     numbers = (state.x_m, state.y_m, state.z_m, state.roll_rad, state.pitch_rad, state.yaw_rad)
     if not all(map(math.isfinite, numbers)):
         raise ValueError(f'camera: the pose is not finite: {state}')
-    body = rotation(state.roll_rad, state.pitch_rad, state.yaw_rad)
-    place = np.array(numbers[:3]) + body @ np.array(camera.offset_m)
+    body, to_optical, place = pixels.pose(numbers, camera.body_to_optical, camera.offset_m)
     if place[2] < 0.05:
         raise ValueError(
             f'camera: {place[2]:.3f} m above ground, the aircraft is not on its wheels'
         )
-    return body, camera.body_to_optical @ body.T, place
+    return body, to_optical, place
 
 
 def project(

@@ -392,6 +392,17 @@ def tint_masked(picture: _Bytes, mask: _Bytes, depth: Sequence[float] | _Doubles
         depth: full darkening per channel, 0..1.
     """
 
+def pose(
+    numbers: tuple[float, ...], body_to_optical: _Doubles, offset: _Three
+) -> tuple[_Doubles, _Doubles, _Doubles]:
+    """Rotations body to ``map`` and ``map`` to optical, (3, 3), and the camera in ``map``, (3,).
+
+    Args:
+        numbers: the aircraft's place in ``map`` [m], and its roll, pitch and yaw [rad].
+        body_to_optical: rotation (3, 3).
+        offset: the camera in the body frame [m].
+    """
+
 def average(canvas: _Bytes, picture: _Bytes) -> None:
     """Reduce a canvas, 2, 4 or 8 times as high and as wide, to a part of an image, in place.
 

@@ -47,9 +47,7 @@ def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
         return False
     if stop_on is StopOn.VIOLATED:
         return readings[0].interval.failed
-    if stop_on is StopOn.DECIDED:
-        return all(reading.interval.decided for reading in readings)
-    return False
+    return stop_on is StopOn.DECIDED and all(reading.interval.decided for reading in readings)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

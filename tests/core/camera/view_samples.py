@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taxinet_ros.core.camera.camera import intrinsics, rotation
+from taxinet_ros.core.camera.camera import intrinsics
+from taxinet_ros.core.rig.camera_model import rotation
 
 
 def rays_of(yaw_rad: float, pitch_rad: float, roll_rad: float = 0.0) -> np.ndarray:

@@ -14,8 +14,8 @@ constexpr double kVisibleShare = 1.0 / 400;
 // Image row in which directions are compared with the sun's.
 constexpr double kRowOfYaw = 60.0;
 
-// The glare vanishes beyond this number of half widths.
-constexpr double kGlareReach = 3.0;
+// The glare vanishes beyond this number of half widths; the other is more than rounding makes of it.
+constexpr double kGlareReach = 3.0, kMargin = 1e-9;
 
 const double kSineOf15Deg = std::sin(std::numbers::pi / 12);
 
@@ -64,12 +64,22 @@ std::pair<Doubles, Doubles> Air::veil(const Doubles &directions, double height_m
 std::optional<std::pair<Floats, Floats>> Air::shine(const Doubles &directions, int height,
                                                     int width) const {
     const Rays rays = rays_of(directions);
+    const auto turn = [&](int u) {
+        const auto [x, y, z] = ray_of(rays, u, kRowOfYaw);
+        return std::remainder(std::atan2(y, x) - sun_yaw_rad, 2 * std::numbers::pi);
+    };
+    // Unless the sun is between them, the first or the last column is nearest to it.
+    const double first = turn(0), last = turn(width - 1);
+    const bool between =
+        first * last <= 0 && std::abs(first) + std::abs(last) < std::numbers::pi;
+    const double beside = std::min(std::abs(first), std::abs(last)) / glare_width_rad;
+    if (!between && beside > kGlareReach + kMargin) {
+        return std::nullopt;
+    }
     Floats by_row(height), by_column(width);
     double nearest = kGlareReach;
     for (int u = 0; u < width; ++u) {
-        const auto [x, y, z] = ray_of(rays, u, kRowOfYaw);
-        const double turn = std::remainder(std::atan2(y, x) - sun_yaw_rad, 2 * std::numbers::pi);
-        const double away = std::abs(turn) / glare_width_rad;
+        const double away = std::abs(turn(u)) / glare_width_rad;
         nearest = std::min(nearest, away);
         *by_column.mutable_data(u) = static_cast<float>(std::exp(-0.5 * away * away));
     }

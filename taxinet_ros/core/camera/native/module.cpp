@@ -9,6 +9,7 @@
 #include "network.hpp"
 #include "outline.hpp"
 #include "plan.hpp"
+#include "pose.hpp"
 #include "reduction.hpp"
 #include "shadow.hpp"
 #include "skyline.hpp"
@@ -145,6 +146,7 @@ PYBIND11_MODULE(pixels, module) {
         .def("cover", &Pinhole::cover)
         .def("faces", &Pinhole::faces);
     module.def("gap", &gap);
+    module.def("pose", &pose);
     // noconvert: output arrays must not be converted copies, and large inputs must not be copied.
     module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));
     module.def("tint_masked", &tint_masked, py::arg("picture").noconvert(),

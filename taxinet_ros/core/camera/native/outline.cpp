@@ -52,7 +52,7 @@ std::vector<Corner> clip(const std::vector<Corner> &polygon, Keeps keeps, Share 
     return kept;
 }
 
-// Rounded as OpenBLAS and numpy do: see shadow.cpp.
+// Rounded as OpenBLAS and numpy do: see pose.hpp.
 FOR_EACH_PROCESSOR void place_points(const Matrix &turn, const Point &shift, const Point *points,
                                      int count, Point *placed) {
     for (int i = 0; i < count; ++i) {
@@ -260,7 +260,7 @@ Polygon Pinhole::face(const std::vector<Point> &corners) const {
     };
     Polygon found;
     for (const Point &at : clip(corners, before, share)) {
-        // Rounded as OpenBLAS does: see shadow.cpp.
+        // Rounded as OpenBLAS does: see pose.hpp.
         const double u = std::fma(at[2], centre_u_, at[0] * focal_u_);
         const double v = std::fma(at[2], centre_v_, at[1] * focal_v_);
         found.push_back({std::clamp(u / at[2], -farthest_px_, farthest_px_),

@@ -9,6 +9,7 @@
 #include "network.cpp"
 #include "outline.cpp"
 #include "plan.cpp"
+#include "pose.cpp"
 #include "product.cpp"
 #include "reduction.cpp"
 #include "shadow.cpp"

@@ -1,34 +1,14 @@
 #include "shadow.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
+
+#include "pose.hpp"
 
 namespace pixels {
 namespace {
 
 constexpr const char *kRotation = "a rotation is (3, 3)";
-
-// Products with the roundings of OpenBLAS for processors that fuse, so that pictures of versions
-// that used NumPy here keep their bytes.
-Matrix product(const Matrix &a, const Matrix &b) {
-    Matrix found;
-    for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) {
-            found[i][j] =
-                std::fma(a[i][2], b[2][j], std::fma(a[i][1], b[1][j], a[i][0] * b[0][j]));
-        }
-    }
-    return found;
-}
-
-Point product(const Matrix &a, const Point &b) {
-    Point found;
-    for (int i = 0; i < 3; ++i) {
-        found[i] = std::fma(a[i][2], b[2], std::fma(a[i][0], b[0], a[i][1] * b[1]));
-    }
-    return found;
-}
 
 // Rows or columns within `edge_px` of outlines, of `count` in all.
 std::array<int, 2> touched(const std::vector<Corners> &outlines, int axis, int edge_px, int count) {
