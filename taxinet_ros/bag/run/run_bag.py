@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagWriteError
 from taxinet_ros.bag.layout import run_folder
@@ -101,12 +100,6 @@ def bag_topics(images: bool = True, sensors: tuple[str, ...] = ()) -> tuple[Topi
     )
 
 
-@functools.cache
-def canonical_bytes(images: bool, sensors: tuple[str, ...]) -> Canonical:
-    """Makes the bytes of equal messages equal; arguments as in :func:`bag_topics`."""
-    return Canonical(bag_topics(images, sensors))
-
-
 def run_words(scenario: Any) -> dict[str, str]:
     """Metadata of a run's bag: the run, machine and versions.
 
@@ -159,7 +152,6 @@ class BegunBag:
             BagWriteError: an error of the operating system.
         """
         self.folder = folder
-        self._canonical = canonical_bytes(images, sensors)
         self._writer = BagWriter(
             folder, bag_topics(images, sensors), metadata=run_words(scenario),
             beside=commit_words(),
@@ -172,8 +164,7 @@ class BegunBag:
         self._writer.abandon()
 
     def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
-        name = _BAG_NAMES[topic.name]
-        self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
+        self._writer.write(_BAG_NAMES[topic.name], cdr, stamp_ns)
 
 
 OUTCOME_METADATA = 'taxinet_outcome'
