@@ -331,14 +331,12 @@ class RunBag(BegunBag):
         readings: Sequence[Said],
     ) -> None:
         """Write a step's messages in the recorder's order, that of the topic table."""
-        seen = now if now.image is picture else dataclasses.replace(now, image=picture)
-        if not self._filmed:
-            seen = seen.without_second_camera
-        observed = observation_messages(seen, self._run_id, self._cameras[0])
+        seen = now if self._filmed else now.without_second_camera
+        observed = observation_messages(seen, picture, self._run_id, self._cameras[0])
         moved = topics.TF, aircraft_transform(now.state, now.stamp_ns)
         # By name, as hashing a topic takes as long as serialising its message.
         ordered = sorted((*observed, *answers, moved), key=lambda said: _RANKS[said[0].name])
-        for topic, cdr in (*ordered, *readings):  # canonical, as made from templates
+        for topic, cdr in (*ordered, *readings):  # canonical, as serialised here
             self._writer.write(_BAG_NAMES[topic.name], cdr, now.stamp_ns)
         self._writer.flush()
 
