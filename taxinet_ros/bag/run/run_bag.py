@@ -40,7 +40,7 @@ from taxinet_ros.bag.run.messages import (
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
 from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
-from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
+from taxinet_ros.bag.writer import FORK_METADATA, MIN_FREE_BYTES, BagWriter
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.loop import Step
@@ -77,8 +77,6 @@ _RANKS = {
     )
 }
 """The recorder's order of the topics of a control step."""
-MIN_FREE_BYTES = 1_000_000_000
-"""Free disk space needed to start the bag of a run [bytes]."""
 
 
 @functools.cache
