@@ -81,11 +81,7 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
 
 @contextlib.contextmanager
 def open_search(asked: Search, console: Console, *, quiet: bool) -> Iterator[Engine[Search]]:
-    """Context of an open search that prints its rows as they come, or all if its record is lost.
-
-    Raises:
-        UsageError: its workers cannot all get a ROS domain.
-    """
+    """Context of an open search that prints its rows as they come, or all if its record is lost."""
     if asked.campaign.runs_graphs:
         from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
