@@ -28,6 +28,8 @@ from taxinet_ros.version import __version__
 _PACKAGE = 'taxinet_ros'
 LIBRARY = f'{_PACKAGE} {__version__}'
 MANIFEST = 'manifest.json'
+MIN_FREE_BYTES = 1_000_000_000
+"""Free disk space needed to start a bag [bytes]."""
 RUN_METADATA = 'taxinet'
 FREE_RUN_METADATA = 'taxinet_free_run'
 """Name of the metadata record of a free run's timing."""
@@ -76,7 +78,7 @@ class BagWriter:
 
     def __init__(
         self, folder: Path, topics: Sequence[TopicInfo], *, metadata: Mapping[str, str],
-        attachments: Mapping[str, bytes], min_free_bytes: int = 1_000_000_000,
+        attachments: Mapping[str, bytes], min_free_bytes: int = MIN_FREE_BYTES,
         beside: Mapping[str, str] | None = None, make_parents: bool = True,
     ) -> None:
         """Start a bag.

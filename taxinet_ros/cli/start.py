@@ -8,6 +8,7 @@ it with Python's own traceback.
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -32,6 +33,7 @@ _WITHOUT_SCENES = {'-h', '--help', '--help-all', '--from'}
 def main() -> NoReturn:
     """Entry point of the executable ``taxinet``."""
     def command() -> None:
+        gc.set_threshold(50_000)  # nearly all that a command makes at first is imported, and stays
         if {*sys.argv[1:2]} & _OF_SCENES and not {*sys.argv} & _WITHOUT_SCENES:
             from taxinet_ros.scenes.scenic_server import start_early
 

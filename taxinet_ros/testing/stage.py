@@ -392,7 +392,7 @@ class _Stage:
         frame = given if isinstance(given, np.ndarray) else None
         now = Observation(seq=seq, stamp_ns=stamp_ns, state=self._states[seq], image=frame)
         question.asked_s = time.monotonic()
-        for topic, message in observation_messages(now, run.run_id):
+        for topic, message in observation_messages(now, now.image, run.run_id):
             self._say(topic, message)
         patience_s = self._patience_s
         if isinstance(given, Image):

@@ -20,8 +20,7 @@ from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-from taxinet_ros.bag.run.run_bag import MIN_FREE_BYTES
-from taxinet_ros.bag.writer import check_room
+from taxinet_ros.bag.writer import MIN_FREE_BYTES, check_room
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult

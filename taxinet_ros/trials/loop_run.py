@@ -16,7 +16,8 @@ from typing import Any, Protocol
 
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.rewrite.frames import restore_in_place
-from taxinet_ros.bag.run.run_bag import MIN_FREE_BYTES, RunBag, RunEnding, node_words
+from taxinet_ros.bag.run.run_bag import RunBag, RunEnding, node_words
+from taxinet_ros.bag.writer import MIN_FREE_BYTES
 from taxinet_ros.core import topics
 from taxinet_ros.core.assurance.switch import make_controller
 from taxinet_ros.core.control_step import Observation

@@ -12,14 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
-from threadpoolctl import threadpool_limits
-
 from taxinet_ros.core.system import System
 from taxinet_ros.files.plain_values import typed
 from taxinet_ros.processes.child import module_command
-from taxinet_ros.trials.audit import Auditor
-from taxinet_ros.trials.loop_run import Loop
 from taxinet_ros.trials.worker_pool import Link, serve
 
 
@@ -45,6 +40,12 @@ def loop_worker_command(
 
 
 def _work(options: dict[str, Any], link: Link) -> None:
+    import cv2
+    from threadpoolctl import threadpool_limits
+
+    from taxinet_ros.trials.audit import Auditor
+    from taxinet_ros.trials.loop_run import Loop
+
     cv2.setNumThreads(1)  # the workers share the cores among themselves
     threadpool_limits(limits=1)
     system = None if options['system'] is None else typed(System, options['system'])

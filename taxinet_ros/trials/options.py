@@ -160,6 +160,11 @@ class CampaignOptions(System):
         return self.out if self.bags else None
 
     @property
+    def runs_graphs(self) -> bool:
+        """Whether it needs ROS for its runs, or for audits."""
+        return self.engine == GRAPH or (self.bags and self.audit_percent > 0)
+
+    @property
     def standing_graph(self) -> bool:
         """Whether the graph was started before the campaign, and outlives its broken runs."""
         return not self.perception

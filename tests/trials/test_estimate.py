@@ -96,7 +96,8 @@ def test_an_estimate_that_ends_amid_its_draws_has_no_interval_and_says_how_many_
 ):
     out = tmp_path / 'c'
     end = run_until(lambda number: number >= cut, broken=broken)
-    monkeypatch.setattr('taxinet_ros.cli.run.campaign.run_on_workers', end)
+    for module in ('search', 'campaign'):  # the former would keep what it imports meanwhile
+        monkeypatch.setattr(f'taxinet_ros.cli.run.{module}.run_on_workers', end)
     assert run_estimate(options(out), quiet=True, as_json=True) == code
     said = capsys.readouterr()
     why = f'{line}: no interval before all have; resume it'

@@ -6,15 +6,22 @@ The bag is flushed after each complete step: a crash loses only the current step
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
+from taxinet_ros.bag.cdr.alignment import Canonical, stamp_of_cdr
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.run.message_values import account_of, scenario_of
 from taxinet_ros.bag.run.messages import header_values, message_cdr
-from taxinet_ros.bag.run.run_bag import OUTCOME_METADATA, BegunBag, outcome_words
+from taxinet_ros.bag.run.run_bag import (
+    OUTCOME_METADATA,
+    BegunBag,
+    bag_name,
+    bag_topics,
+    outcome_words,
+)
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED, topic_info
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA
@@ -42,6 +49,7 @@ _DECODED = {
     topic.name: topic_info(topic)
     for topic in (topics.NODE_STATUS, topics.TIMING, topics.VERDICT, topics.RUN_STATUS)
 }
+_canonical = functools.cache(Canonical)
 
 
 def stepped_topics(images: bool) -> tuple[Topic, ...]:
@@ -95,6 +103,7 @@ class LiveBag(BegunBag):
             folder, scenario, images=images, sensors=sensors, attachments=attachments,
             min_free_bytes=min_free_bytes, make_parents=make_parents,
         )
+        self._canonical = _canonical(bag_topics(images, sensors))
 
     def clear(self) -> None:
         """Drop steps, verdict and account received so far."""
@@ -289,3 +298,6 @@ class LiveBag(BegunBag):
                 if topic is topics.ODOMETRY:
                     self._write(topics.TF, self._transform_of(cdr), stamp_ns)
         self._writer.flush()
+
+    def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
+        super()._write(topic, self._canonical.message(bag_name(topic), cdr), stamp_ns)

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from taxinet_ros.bag.cdr.alignment import FORMATS
@@ -147,12 +148,13 @@ def progress_cdr(
 
 
 def observation_messages(
-    now: Observation, run_id: str, camera: CameraModel = WING
+    now: Observation, image: NDArray[np.uint8] | None, run_id: str, camera: CameraModel = WING
 ) -> Iterator[tuple[Topic, bytes]]:
     """Serialised messages of a control step, in order of publication.
 
     Args:
         now: the observation.
+        image: its picture (200, 360, 3) uint8 RGB, or None to leave it out.
         run_id: id of the run.
         camera: the camera that took the picture.
     """
@@ -163,8 +165,8 @@ def observation_messages(
     if now.measured is not None:
         yield from sensor_messages(now.measured)
     yield topics.CAMERA_INFO, camera_info_cdr(stamp_ns, camera)
-    if now.image is not None:
-        yield topics.IMAGE, image_cdr(now.image, stamp_ns, CAMERA_FRAME)
+    if image is not None:
+        yield topics.IMAGE, image_cdr(image, stamp_ns, CAMERA_FRAME)
 
 
 def sensor_messages(measured: Measured) -> Iterator[tuple[Topic, bytes]]:

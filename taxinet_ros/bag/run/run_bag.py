@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagWriteError
 from taxinet_ros.bag.layout import run_folder
@@ -41,7 +40,7 @@ from taxinet_ros.bag.run.messages import (
 from taxinet_ros.bag.run.topics import NODE_READY, RUN_ENDED
 from taxinet_ros.bag.run.transforms import aircraft_transform, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
-from taxinet_ros.bag.writer import FORK_METADATA, BagWriter
+from taxinet_ros.bag.writer import FORK_METADATA, MIN_FREE_BYTES, BagWriter
 from taxinet_ros.core import topics
 from taxinet_ros.core.control_step import Observation
 from taxinet_ros.core.loop import Step
@@ -78,8 +77,6 @@ _RANKS = {
     )
 }
 """The recorder's order of the topics of a control step."""
-MIN_FREE_BYTES = 1_000_000_000
-"""Free disk space needed to start the bag of a run [bytes]."""
 
 
 @functools.cache
@@ -99,12 +96,6 @@ def bag_topics(images: bool = True, sensors: tuple[str, ...] = ()) -> tuple[Topi
         )
         for topic in _TOPICS if topic.recorded and topic.name not in left_out
     )
-
-
-@functools.cache
-def canonical_bytes(images: bool, sensors: tuple[str, ...]) -> Canonical:
-    """Makes the bytes of equal messages equal; arguments as in :func:`bag_topics`."""
-    return Canonical(bag_topics(images, sensors))
 
 
 def run_words(scenario: Any) -> dict[str, str]:
@@ -159,7 +150,6 @@ class BegunBag:
             BagWriteError: an error of the operating system.
         """
         self.folder = folder
-        self._canonical = canonical_bytes(images, sensors)
         self._writer = BagWriter(
             folder, bag_topics(images, sensors), metadata=run_words(scenario),
             beside=commit_words(),
@@ -172,8 +162,7 @@ class BegunBag:
         self._writer.abandon()
 
     def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
-        name = _BAG_NAMES[topic.name]
-        self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
+        self._writer.write(_BAG_NAMES[topic.name], cdr, stamp_ns)
 
 
 OUTCOME_METADATA = 'taxinet_outcome'
@@ -340,14 +329,12 @@ class RunBag(BegunBag):
         readings: Sequence[Said],
     ) -> None:
         """Write a step's messages in the recorder's order, that of the topic table."""
-        seen = now if now.image is picture else dataclasses.replace(now, image=picture)
-        if not self._filmed:
-            seen = seen.without_second_camera
-        observed = observation_messages(seen, self._run_id, self._cameras[0])
+        seen = now if self._filmed else now.without_second_camera
+        observed = observation_messages(seen, picture, self._run_id, self._cameras[0])
         moved = topics.TF, aircraft_transform(now.state, now.stamp_ns)
         # By name, as hashing a topic takes as long as serialising its message.
         ordered = sorted((*observed, *answers, moved), key=lambda said: _RANKS[said[0].name])
-        for topic, cdr in (*ordered, *readings):  # canonical, as made from templates
+        for topic, cdr in (*ordered, *readings):  # canonical, as serialised here
             self._writer.write(_BAG_NAMES[topic.name], cdr, now.stamp_ns)
         self._writer.flush()
 

@@ -16,8 +16,6 @@ from taxinet_ros.version import __version__
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.recording import Recording
 
-_MIN_FREE_BYTES = 1_000_000_000
-
 
 def render(
     bag: BagArgument,
@@ -62,7 +60,7 @@ def _render(recording: Recording, out: Path | None) -> int:
         restore_frames,
         restore_in_place,
     )
-    from taxinet_ros.bag.writer import RUN_METADATA
+    from taxinet_ros.bag.writer import MIN_FREE_BYTES, RUN_METADATA
 
     console = line_console()
     bag, info = recording.path, recording.info
@@ -76,8 +74,8 @@ def _render(recording: Recording, out: Path | None) -> int:
         console.print(f'nothing to do: all {frames} frames are in {bag}')
         return ExitCode.OK
     steps = (
-        restore_in_place(bag, _MIN_FREE_BYTES) if out is None
-        else restore_frames(recording, out, _MIN_FREE_BYTES)
+        restore_in_place(bag, MIN_FREE_BYTES) if out is None
+        else restore_frames(recording, out, MIN_FREE_BYTES)
     )
     shown = track(
         steps, 'rendering', total=missing, console=console, transient=True,

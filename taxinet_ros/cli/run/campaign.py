@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import functools
 import json
 import math
 import time
@@ -27,6 +28,7 @@ from taxinet_ros.core.user_code import EXTERNAL, command_of
 from taxinet_ros.core.verdict.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.worker import audit_command, campaign_worker_command
 from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 from taxinet_ros.samplers.sampler import MOST_LAG
 from taxinet_ros.trials.campaign import ProgramOrder, exit_code
@@ -202,8 +204,6 @@ def run_on_workers(engine: Engine[Any], cluster: ClusterPool | None = None) -> N
 def _pool(
     engine: Engine[Any], cluster: ClusterPool | None
 ) -> contextlib.AbstractContextManager[WorkerPool | ClusterPool]:
-    from taxinet_ros.nodes.graph.worker import campaign_worker_command  # ROS takes time to import
-
     options, facts = engine.options, engine.book.facts
     if cluster is None:
         command = campaign_worker_command(options, facts)
@@ -355,13 +355,9 @@ def _loop(options: CampaignOptions, system: System) -> Iterator[Graph]:
     from taxinet_ros.trials.audit import Auditor
     from taxinet_ros.trials.loop_run import Loop
 
-    def audit() -> list[str]:
-        from taxinet_ros.nodes.graph.worker import audit_command
-
-        return audit_command(options, system)
-
     loop = Loop(system, options.bag_folder, options.images)
-    with Auditor(audit, options.out, options.audit_percent) as auditor:
+    command = functools.partial(audit_command, options, system)
+    with Auditor(command, options.out, options.audit_percent) as auditor:
         yield _LoopGraph(loop, auditor)
 
 

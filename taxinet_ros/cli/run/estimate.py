@@ -105,12 +105,10 @@ def run_estimate(asked: Search, *, quiet: bool, as_json: bool) -> int:
     )
     from taxinet_ros.cli.run.campaign import run_on_workers, search_view
     from taxinet_ros.cli.run.search import open_search
-    from taxinet_ros.nodes.running.domain import check_workers
     from taxinet_ros.samplers.splitting import State
     from taxinet_ros.trials.search_summary import heading_lines
     from taxinet_ros.trials.summary import requirement_lines
 
-    check_workers(asked.campaign.workers)
     console = line_console(stderr=as_json)
     with open_search(asked, console, quiet=True) as search:
         warnings = [search.book.warning] if search.book.warning else []

@@ -90,12 +90,10 @@ def run_experiment(
     """
     from taxinet_ros.analysis.experiment.arms import paired_arms
     from taxinet_ros.analysis.experiment.report import write_experiment
-    from taxinet_ros.nodes.running.domain import check_workers
     from taxinet_ros.trials.experiment import arm_rows, arm_searches, check_paired
     from taxinet_ros.trials.summary import Summary
 
     console = Console(emoji=False, highlight=False, stderr=as_json)
-    check_workers(workers)
     searches = arm_searches(
         experiment, out, workers=workers, resume=resume, engine=engine, audit=audit,
         cluster=cluster,

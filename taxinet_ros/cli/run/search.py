@@ -6,19 +6,17 @@ import contextlib
 import json
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 from taxinet_ros.analysis.search.learned import write_learned
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.cli.run.campaign import run_on_workers, search_view
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import ExitCode, plain_line
-from taxinet_ros.nodes.interface import PARTICIPANTS
-from taxinet_ros.nodes.running.domain import check_workers
 from taxinet_ros.samplers.registry import SAMPLERS
 from taxinet_ros.trials.campaign import exit_code
-from taxinet_ros.trials.cluster.pool import ClusterPool, campaign_cluster
 from taxinet_ros.trials.engine import Engine
 from taxinet_ros.trials.options import CampaignOptions
 from taxinet_ros.trials.record.row import RunRow
@@ -31,6 +29,9 @@ from taxinet_ros.trials.summary import (
     row_line,
     summary_json,
 )
+
+if TYPE_CHECKING:
+    from taxinet_ros.trials.cluster.pool import ClusterPool
 
 
 def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
@@ -47,7 +48,6 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
     Raises:
         UsageError: bad input, or every scene was rejected.
     """
-    check_workers(asked.campaign.workers)
     console = Console(emoji=False, highlight=False, stderr=as_json)
     with (
         open_cluster(asked.campaign, console) as cluster,
@@ -80,10 +80,12 @@ def run_falsify(asked: Search, *, quiet: bool, as_json: bool = False) -> int:
 
 
 @contextlib.contextmanager
-def open_search(
-    asked: Search, console: Console, *, quiet: bool
-) -> Iterator[Engine[Search]]:
+def open_search(asked: Search, console: Console, *, quiet: bool) -> Iterator[Engine[Search]]:
     """Context of an open search that prints its rows as they come, or all if its record is lost."""
+    if asked.campaign.runs_graphs:
+        from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
+
+        check_workers(asked.campaign.workers)
     shown = not (quiet or console.is_terminal)
 
     def show(row: RunRow) -> None:
@@ -109,6 +111,7 @@ def open_cluster(
     """Context of the connected cluster of a campaign, or of None."""
     if not options.cluster:
         return contextlib.nullcontext()
+    from taxinet_ros.trials.cluster.pool import campaign_cluster  # which imports asyncio
 
     def tell(line: str) -> None:
         console.print(plain_line(line), soft_wrap=True, markup=False)

@@ -24,17 +24,18 @@ if TYPE_CHECKING:
 
 def campaign_worker_command(campaign: CampaignOptions, facts: Mapping[str, Any]) -> list[str]:
     """Command line of a worker for the runs of a campaign, by its engine."""
-    from taxinet_ros.nodes.graph.runner import campaign_graph
     from taxinet_ros.trials.loop_worker import loop_worker_command
     from taxinet_ros.trials.options import GRAPH
     from taxinet_ros.trials.record.facts import recorded_system
 
     system = recorded_system(campaign, facts)
     if campaign.engine == GRAPH:
+        from taxinet_ros.nodes.graph.runner import campaign_graph
+
         return worker_command(campaign_graph(campaign, system))
     return loop_worker_command(
         system, campaign.bag_folder, campaign.images, audit_percent=campaign.audit_percent,
-        audit_command=audit_command(campaign, system),
+        audit_command=audit_command(campaign, system) if campaign.runs_graphs else (),
     )
 
 

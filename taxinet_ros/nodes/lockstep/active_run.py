@@ -247,7 +247,7 @@ class ActiveRun(LiveGraph):
         for picture in seen:
             self._node.say(interface.CAMERA2_INFO, camera_info_cdr(
                 picture.stamp_ns, self.scenario.cameras[1], CAMERA2_FRAME))
-        for topic, message in observation_messages(frame, self.run_id, self.camera):
+        for topic, message in observation_messages(frame, frame.image, self.run_id, self.camera):
             self._node.say(topic, message)
             if topic is topics.ODOMETRY:
                 self._node.transforms.follow(message)

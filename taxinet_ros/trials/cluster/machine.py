@@ -27,7 +27,7 @@ from taxinet_ros.files.sealed_json import file_sha256
 from taxinet_ros.instructions import lacking
 from taxinet_ros.processes.child import child_environment, module_command
 from taxinet_ros.registry import PERCEPTIONS, find
-from taxinet_ros.trials.options import GRAPH, CampaignOptions
+from taxinet_ros.trials.options import CampaignOptions
 
 PYTHON, OUT = '@PYTHON@', '@OUT@'
 """Words in the command of a child for a machine's Python, and for the folder of its bags."""
@@ -61,7 +61,7 @@ def describe(parts: Sequence[str], folder: Path | None) -> dict[str, str]:
 def ignored_facts(campaign: CampaignOptions) -> set[str]:
     """Facts in which machines may differ without effect on the results of a campaign."""
     ignored = {'processor', 'pixels', COMMIT}  # in place of the commit, files are compared
-    if campaign.engine != GRAPH and not (campaign.bags and campaign.audit_percent > 0):
+    if not campaign.runs_graphs:
         ignored |= {'rclpy', 'ros-fastrtps'}
     word = campaign.perception
     if not (names_user_code(word) or word.endswith(ONNX_SUFFIX)):

@@ -123,18 +123,9 @@ def _series(found: dict[str, list[Any]] | pa.Table, name: str, kind: str) -> pd.
 
 def campaign_table(content: CampaignContent) -> pd.DataFrame:
     """Table of a campaign, with its records of machines, libraries and code in ``attrs``."""
-    frame, = _frames([content.rows], content.facts)
+    frame = table(content.rows, tuple(content.facts.get('specs', {})))
+    frame.attrs[STACKS] = recorded_stacks(content.facts)
     return frame
-
-
-def _frames(
-    parts: Iterable[Iterable[RunRow]], facts: Mapping[str, Any], known: Sequence[str] | None = None
-) -> Iterator[pd.DataFrame]:
-    """Tables of parts of a campaign, with the columns that any part has, if these are known."""
-    for rows in parts:
-        frame = table(rows, tuple(facts.get('specs', {})), known)
-        frame.attrs[STACKS] = recorded_stacks(facts)
-        yield frame
 
 
 def write_tables(
@@ -156,8 +147,10 @@ def write_tables(
     known = list(dict.fromkeys(name for part in parts() for name in _names(_found(part))))
 
     def frames(file: TextIO) -> Iterator[pd.DataFrame]:
-        for number, frame in enumerate(_frames(parts(), facts, known)):
+        for number, part in enumerate(parts()):
+            frame = table(part, tuple(facts.get('specs', {})), known)
             file.write(csv_text(frame, header=number == 0))
+            frame.attrs[STACKS] = recorded_stacks(facts)  # then, as each column has a copy of them
             yield frame
 
     def write(draft: Path) -> None:  # both at once, as a part is made in some time

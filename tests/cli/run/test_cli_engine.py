@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -99,6 +101,19 @@ def test_given_a_plain_campaign_by_the_loop_then_rows_and_bags_are_those_of_the_
     check_same(tmp_path / 'graph', tmp_path / 'loop')
     one = tmp_path / 'loop' / 'nominal-s4-00001'
     assert taxinet('run', '--from', one, '--out', tmp_path / 'again').returncode == 0
+
+
+def test_given_no_ros_then_a_search_by_the_loop_goes_on_without_it_and_what_only_workers_need(
+    tmp_path
+):
+    code = (
+        'import sys; sys.modules.update(dict.fromkeys(["rclpy", "taxinet_ros.core.loop"])); '
+        'from taxinet_ros.cli.main import main; main()'  # to import either raises ImportError
+    )
+    words = ['falsify', *SCENES, '--runs', '1', *LOOP, '--audit', '0', '--out', str(tmp_path / 'c')]
+    done = subprocess.run(
+        [sys.executable, '-c', code, *words], capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 1), done.stderr
 
 
 @pytest.mark.nightly

@@ -326,7 +326,7 @@ def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq)
     now = Observation(seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, state=state, image=pixels)
     steps = {}
     types = {topic.name: topic.type for topic in interface.TOPICS}
-    for topic, cdr in observation_messages(now, 'r'):
+    for topic, cdr in observation_messages(now, now.image, 'r'):
         message = deserialize_message(cdr, types[topic.name])
         stamp = message.clock if topic.name == interface.CLOCK.name else message.header.stamp
         steps[topic.name] = (stamp.sec * 1_000_000_000 + stamp.nanosec) / 100_000_000
