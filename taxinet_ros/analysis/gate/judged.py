@@ -151,7 +151,7 @@ def recorded_runs(campaign: Path) -> JudgedRuns:
 
 def driven_runs(
     network: str, baseline: Path, out: Path | None, workers: int, progress: Progress,
-    tell: Callable[[Iterable[str]], None],
+    tell: Callable[[Iterable[str]], None], *, shares: bool,
 ) -> JudgedRuns:
     """The network's runs in the baseline's scenes, finished ones kept in the folder.
 
@@ -163,12 +163,13 @@ def driven_runs(
         progress: context, by the number of runs, with a function to call after each and one that
             says whether to start no more.
         tell: called with doubts about the network in these scenes.
+        shares: whether the share of satisfied runs counts, so that each requirement is needed.
 
     Raises:
         UsageError: there is no such network, or the scenes cannot be driven.
         KeyboardInterrupt: runs are left.
     """
-    fingerprint, scenes = check_perception(network), scenes_of(baseline)
+    fingerprint, scenes = check_perception(network), scenes_of(baseline, whole=shares)
     system = scenes.system
     out = out or DEFAULT_ROOT / f'gate-{Path(network).stem.replace(":", "-")}'
     tell(network_doubts(network, (scene.scenario for scene in scenes.scenes)))

@@ -130,6 +130,7 @@ def gate(
         judged = driven_runs(
             str(campaign), baseline, out, workers or 2,
             partial(trial_bar, line_console(stderr=True), 'runs'), tell_doubts,
+            shares=min_satisfaction is not None,
         )
     else:
         refuse_given(
