@@ -119,10 +119,6 @@ def system_of(campaign: RecordedCampaign) -> System:
     )
 
 
-def _headline(judging: Judging) -> Judging:
-    return dataclasses.replace(judging, specs=judging.specs[:1])
-
-
 def scenes_of(path: Path, runs: int | None = None, *, whole: bool = False) -> SceneSet:
     """The scenes of a campaign, of a table, or of one run.
 
@@ -239,12 +235,16 @@ def scenes_of_program(
         program: word or path of a Scenic program.
         runs: number of scenes.
         seed: seed of the scenes.
-        judging: the requirement.
+        judging: the requirement, one.
         overrides: values that replace drawn ones, see :class:`SceneSource`.
 
     Raises:
-        UsageError: the program is invalid, or rejects most of its scenes.
+        UsageError: the program is invalid, or rejects most of its scenes; or there are several
+            requirements.
     """
+    headline, *others = judging.names
+    if others:
+        raise UsageError(f'spec {others[0]}: one requirement here, {headline}; leave this one out')
     scenes: list[Scene] = []
     rejected, name = 0, Path(program).stem
     with SceneSource(program, seed=seed, overrides=overrides) as source:
@@ -266,7 +266,7 @@ def scenes_of_program(
             scenes.append(Scene(row=row, scenario=scenario, exact=True))
     return SceneSet(
         source=program, scenes=tuple(scenes), system=System(perception=GroundTruth.word),
-        judging=_headline(judging),
+        judging=judging,
     )
 
 
