@@ -83,7 +83,8 @@ class JudgedRuns:
             criterion = paired.criterion(options.margin, options.confidence, command)
         found = gate_result(
             self.rows, options, planned=self.planned or 0, compared=criterion,
-            rules=recorded_rules(self.facts), folder=self.name,
+            rules=recorded_rules(self.facts),
+            folder='' if self.again else self.name,  # these commands do not take a table
         )
         notes = (*found.notes, *self.notes, *(paired.notes if paired else ()))
         return replace(found, notes=notes, baseline=paired)

@@ -196,6 +196,8 @@ def test_given_a_network_and_several_requirements_then_a_run_has_to_satisfy_all(
     code, said, _ = taxinet(*asked)
     assert (code, said.splitlines()[0]) == (3, 'INCONCLUSIVE: driven (2 PASS, 1 FAIL)')
     assert 'a is satisfied in 3 of 3 scenes' in said, 'pairs are about the headline'
+    assert [line for line in said.splitlines() if 'next: ' in line] == [
+        '  next: taxinet compare before driven/runs.parquet'], 'plan and why take no table'
     frame = pd.read_parquet(BAGS / 's_falsif_truth_400.parquet').iloc[:2]
     frame.assign(rho_mine=1.0).to_parquet('mine.parquet')
     code, out, err = taxinet(*asked[:3], 'mine.parquet', *asked[6:])
