@@ -141,8 +141,8 @@ def score(
     """Score networks on recordings: errors against where the aircraft really was.
 
     Takes any rosbag2 with pictures and positions; docs/recordings.md. Exit codes: 0 scored, and
-    every --spec is satisfied; 1 one is violated; 2 bad input; 3 one is unclear, as it reaches
-    beyond the recorded path or into a gap of it.
+    every --spec is satisfied; 1 one is violated; 2 bad input; 3 one is unclear, as a
+    stretch of the recorded path does not decide it.
     """
     if topics:
         return _list_topics(bags, as_json)
