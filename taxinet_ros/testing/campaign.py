@@ -101,14 +101,15 @@ def _judge(campaign: Campaign, runs: int, at_least: float, system: str) -> None:
     wrong = [row for row in rows if row.outcome is not Outcome.PASS]
     unclear = runs - sum(row.outcome.judged for row in rows)
     passed = len(rows) - len(wrong)
-    if not unclear and passed >= at_least * runs:
+    # Not at_least * runs: 0.56 * 25 is above 14, while 14 / 25 is 0.56.
+    if not unclear and passed / runs >= at_least:
         return
     rate = campaign.rates['failed'].rate
     interval = f' (95 % interval {rate.other.low:.0%}-{rate.other.high:.0%})' if rate else ''
     failed = next((row for row in wrong if row.bag), None)
     raise AssertionError('\n'.join([
         f'{passed} of {runs} scenes of {campaign.facts["program"]} satisfied{interval}, '
-        f'{at_least:.0%} wanted; {unclear} without a verdict',
+        f'{100 * at_least:g}% wanted; {unclear} without a verdict',
         *(row_line(row).plain for row in wrong[:_MOST_SHOWN]),
         *([f'and {len(wrong) - _MOST_SHOWN} more'] if len(wrong) > _MOST_SHOWN else []),
         *([f'to repeat one: taxinet run --from {shlex.quote(str(campaign.folder / failed.bag))} '

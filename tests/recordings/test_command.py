@@ -81,6 +81,10 @@ def test_given_a_requirement_that_is_asked_for_then_its_violation_is_the_exit_co
     assert taxinet(*words)[0] == 0
     code, out, _ = taxinet(*words, '--spec', 'phi_always')
     assert (code, 'phi_always on the recorded path: 1 VIOLATED of 1 stretch' in out) == (1, True)
+    beyond = '--spec', 'beyond=always[40:50](abs(cte) <= 9)'
+    code, out, _ = taxinet(*words, *beyond)
+    assert (code, 'beyond on the recorded path: 1 UNCLEAR of 1 stretch' in out) == (3, True)
+    assert taxinet(*words, *beyond, '--spec', 'phi_always')[0] == 1
 
 
 def test_given_a_recording_then_its_topics_are_proposed(taxinet, drive):

@@ -5,7 +5,8 @@ bound of the interval clears the threshold. FAIL: the whole interval is beyond i
 threshold lies within it, and more runs would decide; or the runs give no rate.
 Both bounds are one-sided, each at the stated confidence: a system exactly at the threshold passes,
 or fails, with a probability of at most 1 - confidence each. With several criteria, that holds for
-each; the gate passes if all do and fails if any does.
+each; the gate passes if all do and fails if any does. Runs broken by the bench violate nothing, so
+they keep it from passing and do not fail it.
 
 By default that probability covers all looks at a campaign together, so it may be monitored while
 running, and an inconclusive one may be extended. Half of it is spent on the look at the number of
@@ -216,7 +217,8 @@ class GateResult:
     """The result of a gate on a campaign.
 
     Attributes:
-        verdict: FAIL if any criterion fails, else INCONCLUSIVE if any is, else PASS.
+        verdict: FAIL if a share or the comparison fails, else INCONCLUSIVE if one is or the bench
+            broke, else PASS.
         criteria: all criteria.
         counts: runs by outcome, all five of them.
         judged: runs with a verdict.
@@ -273,7 +275,9 @@ def gate_result(
     criteria.append(_infra(rows))
     if folder:
         criteria = [_with_next(one, options, folder) for one in criteria]
-    verdicts = {one.verdict for one in criteria}
+    verdicts = {one.verdict for one in criteria if one.kind is not Kind.BROKEN}
+    if counts[Outcome.INFRA_ERROR]:
+        verdicts.add(Verdict.INCONCLUSIVE)
     return GateResult(
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
                      Verdict.PASS),

@@ -83,7 +83,8 @@ class JudgedRuns:
             criterion = paired.criterion(options.margin, options.confidence, command)
         found = gate_result(
             self.rows, options, planned=self.planned or 0, compared=criterion,
-            rules=recorded_rules(self.facts), folder=self.name,
+            rules=recorded_rules(self.facts),
+            folder='' if self.again else self.name,  # these commands do not take a table
         )
         notes = (*found.notes, *self.notes, *(paired.notes if paired else ()))
         return replace(found, notes=notes, baseline=paired)
@@ -151,7 +152,7 @@ def recorded_runs(campaign: Path) -> JudgedRuns:
 
 def driven_runs(
     network: str, baseline: Path, out: Path | None, workers: int, progress: Progress,
-    tell: Callable[[Iterable[str]], None],
+    tell: Callable[[Iterable[str]], None], *, shares: bool,
 ) -> JudgedRuns:
     """The network's runs in the baseline's scenes, finished ones kept in the folder.
 
@@ -163,12 +164,13 @@ def driven_runs(
         progress: context, by the number of runs, with a function to call after each and one that
             says whether to start no more.
         tell: called with doubts about the network in these scenes.
+        shares: whether the share of satisfied runs counts, so that each requirement is needed.
 
     Raises:
         UsageError: there is no such network, or the scenes cannot be driven.
         KeyboardInterrupt: runs are left.
     """
-    fingerprint, scenes = check_perception(network), scenes_of(baseline)
+    fingerprint, scenes = check_perception(network), scenes_of(baseline, whole=shares)
     system = scenes.system
     out = out or DEFAULT_ROOT / f'gate-{Path(network).stem.replace(":", "-")}'
     tell(network_doubts(network, (scene.scenario for scene in scenes.scenes)))

@@ -345,7 +345,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
     drawn = _drawn(judged)
     frame['weight'] = _weights(drawn, judged['index'] < counted)
     decided = ~frame['failed'].isna()
-    _check(judged, decided, count_words(others, kinds), path, name)
+    _check(judged, decided, count_words(others, kinds), path, name, _first_words(broken))
     bounds = _bounds(frame, anytime=anytime)
     weighting = _weighting(drawn, frame['weight'], decided)
     if not decided.all():
@@ -490,14 +490,21 @@ def _unrecorded(table: pd.DataFrame, facts: Mapping[str, Any]) -> str:
     return f'about the runs it is assumed {" and ".join(assumed)}' if assumed else ''
 
 
+def _first_words(broken: pd.DataFrame) -> str:
+    """What broke the first of these runs; '' if that is not recorded."""
+    words = broken[[name for name in ('who', 'detail') if name in broken.columns]]
+    return ': '.join(filter(None, words.fillna('').iloc[0])) if len(words) else ''
+
+
 def _check(
-    judged: pd.DataFrame, decided: pd.Series[bool], others: str, path: Path, spec: str
+    judged: pd.DataFrame, decided: pd.Series[bool], others: str, path: Path, spec: str, first: str
 ) -> None:
     if not decided.any():
         why = f' ({others})' if others else ''
         if len(judged):
             why = f' by {spec}: all {len(judged)} were stopped before'
-        raise UsageError(f'{path}: no run was judged{why}, so there is nothing to analyse')
+        first = f'; the first: {first}' if first else ''
+        raise UsageError(f'{path}: no run was judged{why}, so there is nothing to analyse{first}')
     for name in _SCENE:
         if judged[name].isna().any():
             run = judged.loc[judged[name].isna(), 'run_id'].iloc[0]

@@ -76,7 +76,8 @@ def bisect(
         def drive(place: int, names: Sequence[str]) -> dict[str, bool | None]:
             done = trials.drive(
                 networks[place], names, workers=workers, on_trial=count, interrupted=interrupted)
-            return {name: done[name].passed for name in names}
+            headline = scenes.judging.headline
+            return {name: done[name].about(headline).passed for name in names}
 
         names = [scene.row.run_id for scene in scenes.scenes]
         found = bisect_scenes(networks, names, drive, every=every)

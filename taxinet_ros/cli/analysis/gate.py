@@ -11,6 +11,7 @@ import typer
 from taxinet_ros.cli.checked import tell_doubts
 from taxinet_ros.cli.options import JsonOption, refuse_given
 from taxinet_ros.cli.show import line_console, print_json
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import ExitCode, UsageError
 
 INCONCLUSIVE_WORDS = {
@@ -101,7 +102,8 @@ def gate(
 
     PASS (exit code 0) only if the one-sided bound of each share clears its threshold, FAIL (1) if
     the whole interval of one violates it, else INCONCLUSIVE (3) with an estimate of the additional
-    runs needed. Runs with an infrastructure error are excluded and counted separately.
+    runs needed. Runs with an infrastructure error are excluded and counted separately; with any,
+    what would be PASS or INCONCLUSIVE is INCONCLUSIVE with exit code 4.
 
     With --baseline, the scenes are paired with those of another campaign or table, which have to be
     the same: FAIL if satisfaction falls (McNemar's exact test), PASS if it falls by no more than
@@ -130,6 +132,7 @@ def gate(
         judged = driven_runs(
             str(campaign), baseline, out, workers or 2,
             partial(trial_bar, line_console(stderr=True), 'runs'), tell_doubts,
+            shares=min_satisfaction is not None,
         )
     else:
         refuse_given(
@@ -143,5 +146,7 @@ def gate(
         print_json(gate_json(answer, options, table))
     else:
         print(gate_text(answer, judged.folder, table))
+    if answer.verdict is not Verdict.FAIL and answer.counts[Outcome.INFRA_ERROR]:
+        return ExitCode.INFRA
     codes = {Verdict.PASS: ExitCode.OK, Verdict.FAIL: ExitCode.VIOLATED}
     return codes.get(answer.verdict, INCONCLUSIVE_WORDS[inconclusive])

@@ -140,7 +140,9 @@ def score(
 ) -> int:
     """Score networks on recordings: errors against where the aircraft really was.
 
-    Takes any rosbag2 with pictures and positions; docs/recordings.md.
+    Takes any rosbag2 with pictures and positions; docs/recordings.md. Exit codes: 0 scored, and
+    every --spec is satisfied; 1 one is violated; 2 bad input; 3 one is unclear, as a
+    stretch of the recorded path does not decide it.
     """
     if topics:
         return _list_topics(bags, as_json)
@@ -179,8 +181,10 @@ def score(
             line_console(stderr=as_json).print(
                 f'{count} labelled images: {folder}' + ('' if found.setup.rig else '; of no known '
                 'camera, which networks with a view ask for: give --camera'))
-    violated = spec and any(one.verdict == 'VIOLATED' for one in found.verdicts)
-    return ExitCode.VIOLATED if violated else ExitCode.OK
+    verdicts = {one.verdict for one in found.verdicts} or {'UNCLEAR'}
+    if not spec or verdicts == {'SATISFIED'}:
+        return ExitCode.OK
+    return ExitCode.VIOLATED if 'VIOLATED' in verdicts else ExitCode.INCOMPLETE
 
 
 def _check_rendered(simulate: bool, perception: str, weather: dict[str, Any]) -> None:

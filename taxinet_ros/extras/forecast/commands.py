@@ -126,7 +126,7 @@ def check_forecast(
     chosen, unjudged = runs.left_out
     _print('checked', as_json, {
         'forecast': str(forecast), 'campaign': str(campaign), 'runs': len(runs.rows),
-        'failed': sum(row.outcome == 'FAIL' for row in runs.rows), 'chosen': chosen,
+        'failed': int((runs.outcomes <= 0).sum()), 'chosen': chosen,
         'unjudged': unjudged, 'outside': outside,
         'coverage': [_coverage_json(coverage(known, runs, one)) for one in confidences],
     })

@@ -79,7 +79,7 @@ class SceneSet:
         source: where they come from, as text.
         scenes: the scenes, by index.
         system: as in the recorded runs, with the truth in place of a network.
-        judging: likewise, of the headline requirement alone.
+        judging: likewise; the first requirement is the headline.
         fixed: whether their number did not depend on any result.
     """
 
@@ -119,16 +119,13 @@ def system_of(campaign: RecordedCampaign) -> System:
     )
 
 
-def _headline(judging: Judging) -> Judging:
-    return dataclasses.replace(judging, specs=judging.specs[:1])
-
-
-def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
+def scenes_of(path: Path, runs: int | None = None, *, whole: bool = False) -> SceneSet:
     """The scenes of a campaign, of a table, or of one run.
 
     Args:
         path: folder of a campaign, a ``.parquet`` table, or the bag of a run.
         runs: at most so many, evenly spread over all; None for all.
+        whole: whether every requirement is needed, not the headline alone.
 
     Raises:
         UsageError: it is none of these, or its runs cannot be repeated.
@@ -136,7 +133,7 @@ def scenes_of(path: Path, runs: int | None = None) -> SceneSet:
     if is_campaign(path):
         return _of_campaign(path, runs)
     if path.suffix == '.parquet' and path.is_file():
-        return _of_table(path, runs)
+        return _of_table(path, runs, whole=whole)
     if is_campaign(path.parent) or (path.is_dir() and holds_bag(path)):
         return _of_run(path)
     raise UsageError(f'{path}: neither the folder of a campaign, nor a table, nor the bag of a run')
@@ -158,18 +155,18 @@ def _of_campaign(path: Path, runs: int | None) -> SceneSet:
     outcomes = {row.index: row.outcome for row in campaign.rows}
     return SceneSet(
         source=str(path), scenes=tuple(scenes),
-        system=system, judging=_headline(campaign.judging),
+        system=system, judging=campaign.judging,
         fixed=sample_size_was_fixed(outcomes, campaign.planned_runs),
     )
 
 
-def _of_table(path: Path, runs: int | None) -> SceneSet:
+def _of_table(path: Path, runs: int | None, *, whole: bool) -> SceneSet:
     frame = read_any_table(path)
-    names = specs_of(frame.columns)
-    if not names or names[0] not in SHIPPED:
+    names = specs_of(frame.columns) or ['']
+    unknown = [name for name in (names if whole else names[:1]) if name not in SHIPPED]
+    if unknown:
         raise UsageError(
-            f'{path}: a table has no text of its formula {names[0] if names else ""}; name the '
-            "campaign's folder"
+            f"{path}: a table has no text of its formula {unknown[0]}; name the campaign's folder"
         )
     timings = set(frame['timing'].dropna()) - {''} if 'timing' in frame.columns else set()
     if timings:
@@ -186,7 +183,8 @@ def _of_table(path: Path, runs: int | None) -> SceneSet:
     return SceneSet(
         source=str(path), scenes=spread_evenly(scenes, runs),
         system=System(perception=GroundTruth.word),
-        judging=Judging(specs=(f'{names[0]}={SHIPPED[names[0]].text}',)),
+        judging=Judging(specs=tuple(
+            f'{name}={SHIPPED[name].text}' for name in names if name in SHIPPED)),
         fixed=sample_size_was_fixed(outcomes, None),
     )
 
@@ -224,7 +222,7 @@ def _of_run(path: Path) -> SceneSet:
     return SceneSet(
         source=str(path), scenes=(Scene(row=row, scenario=run.scenario, exact=True),),
         system=run.alone(perception=GroundTruth.word, controller_sha256=''),
-        judging=Judging(specs=run.specs[:1]),
+        judging=Judging(specs=run.specs),
     )
 
 
@@ -237,12 +235,16 @@ def scenes_of_program(
         program: word or path of a Scenic program.
         runs: number of scenes.
         seed: seed of the scenes.
-        judging: the requirement.
+        judging: the requirement, one.
         overrides: values that replace drawn ones, see :class:`SceneSource`.
 
     Raises:
-        UsageError: the program is invalid, or rejects most of its scenes.
+        UsageError: the program is invalid, or rejects most of its scenes; or there are several
+            requirements.
     """
+    headline, *others = judging.names
+    if others:
+        raise UsageError(f'spec {others[0]}: one requirement here, {headline}; leave this one out')
     scenes: list[Scene] = []
     rejected, name = 0, Path(program).stem
     with SceneSource(program, seed=seed, overrides=overrides) as source:
@@ -264,7 +266,7 @@ def scenes_of_program(
             scenes.append(Scene(row=row, scenario=scenario, exact=True))
     return SceneSet(
         source=program, scenes=tuple(scenes), system=System(perception=GroundTruth.word),
-        judging=_headline(judging),
+        judging=judging,
     )
 
 
@@ -338,7 +340,7 @@ class SharedTrials(TrialRecord):
 
     def table(self, network: str) -> pd.DataFrame:
         """Results of a network as a campaign's table; runs that were not judged are in it too."""
-        return table_of(self.rows(network), (self.scenes.judging.headline,))
+        return table_of(self.rows(network), self.scenes.judging.names)
 
     def rows(self, network: str) -> list[RunRow]:
         """Results of a network, by scene; runs that were not judged are among them."""
@@ -357,14 +359,15 @@ class SharedTrials(TrialRecord):
 
 def _result_row(row: RunRow, trial: Trial, network: str, fingerprint: str, spec: str) -> RunRow:
     known = trial.robustness
+    robustness = {} if known is None else {spec: known, **trial.others}
     judged = trial.passed is not None and known is not None
     outcome = Outcome.PASS if trial.passed else Outcome.FAIL
     return dataclasses.replace(
         row, perception=network, fingerprint=fingerprint,
         outcome=outcome if judged else Outcome.INFRA_ERROR,
         kind='' if judged else 'broken', detail='' if judged else trial.detail,
-        robustness={spec: known} if judged and known is not None else {},
-        stopped_early=known is not None and not known.exact, stopped_s=None,
+        robustness=robustness if judged else {},
+        stopped_early=not all(one.exact for one in robustness.values()), stopped_s=None,
         left_runway=trial.left_runway, max_cross_track_m=trial.max_cross_track_m,
         settle_time_s=trial.settle_time_s, bag='', cte_error_mean_m=None,
         cte_error_mean_abs_m=None, cte_error_max_abs_m=None, he_error_mean_deg=None,

@@ -152,6 +152,9 @@ def test_given_networks_in_order_then_the_one_that_broke_the_scene_is_named(
 
 @pytest.mark.parametrize(('words', 'reason'), [
     (('compare', 'truth', 'taxinet', 's_falsif', '--out', 'full'), 'contains something else'),
+    (('compare', 'truth', 'taxinet', 's_falsif', '--spec', NEAR, '--spec', 'far=cte <= 9'),
+     'spec far: one requirement here, near; leave this one out'),
+    (('tune', '--spec', 'phi_always', '--spec', 'on_runway'), 'spec on_runway: one requirement'),
     (('why', BAGS / 'golden' / 'truth-nominal', '--out', 'full'), 'contains something else'),
 ])
 def test_given_bad_input_then_one_line_and_exit_code_2(words, reason, taxinet, tmp_path):

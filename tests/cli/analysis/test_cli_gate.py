@@ -29,11 +29,14 @@ from taxinet_ros.trials.record.facts import campaign_facts
 BAGS = Path(__file__).resolve().parents[3] / 'bags'
 
 
-def campaign(folder: Path, violated: set[int], *, runs: int = 80, seed: int = 7, settings=()):
+def campaign(
+    folder: Path, violated: set[int], *, runs: int = 80, seed: int = 7, settings=(),
+    specs=('phi_always',),
+):
     """A recorded campaign of simple draws, some of which are violated."""
     options = make_options(
         program='nominal', runs=runs, seed=seed, perception='truth', settings=settings,
-        specs=('phi_always',), out=folder, processes=False, images='none',
+        specs=specs, out=folder, processes=False, images='none',
     )
     facts = campaign_facts(
         options, find_program(options.program), program_text(options.program)
@@ -43,7 +46,8 @@ def campaign(folder: Path, violated: set[int], *, runs: int = 80, seed: int = 7,
             'cross_track_m': index / 10, 'distance_m': 10.0 * index, **options.overrides,
         }), ()), RunResult(
             outcome=Outcome.FAIL if index in violated else Outcome.PASS, last_seq=300,
-            robustness=exact_intervals({'phi_always': -1.0 if index in violated else 0.5}),
+            robustness=exact_intervals(dict.fromkeys(
+                options.judging.names, -1.0 if index in violated else 0.5)),
         )) for index in range(runs)
     ]
     return write_campaign(folder, rows, facts)
@@ -180,6 +184,25 @@ def test_given_a_network_then_it_is_driven_through_the_baselines_scenes_and_kept
     assert taxinet(*asked)[1] == said
     assert record.read_bytes() == made, 'what is done is kept'
     assert len(read_runs(tmp_path / 'driven' / 'runs.parquet').frame) == 3
+
+
+def test_given_a_network_and_several_requirements_then_a_run_has_to_satisfy_all(
+    tmp_path, taxinet
+):
+    campaign(tmp_path / 'before', set(), runs=3, settings=('duration_s=1',), specs=(
+        'a=always(abs(cte) <= 9)', 'b=always(abs(cte) <= 0.15)'))  # they begin 0, 0.1, 0.2 m off
+    asked = ('gate', 'truth', '--baseline', 'before', '--workers', '1', '--out', 'driven',
+             '--min-satisfaction', '0.9')
+    code, said, _ = taxinet(*asked)
+    assert (code, said.splitlines()[0]) == (3, 'INCONCLUSIVE: driven (2 PASS, 1 FAIL)')
+    assert 'a is satisfied in 3 of 3 scenes' in said, 'pairs are about the headline'
+    assert [line for line in said.splitlines() if 'next: ' in line] == [
+        '  next: taxinet compare before driven/runs.parquet'], 'plan and why take no table'
+    frame = pd.read_parquet(BAGS / 's_falsif_truth_400.parquet').iloc[:2]
+    frame.assign(rho_mine=1.0).to_parquet('mine.parquet')
+    code, out, err = taxinet(*asked[:3], 'mine.parquet', *asked[6:])
+    assert (code, out) == (2, '')
+    assert 'mine.parquet: a table has no text of its formula mine' in err
 
 
 # check -------------------------------------------------------------------------------------------

@@ -17,8 +17,9 @@ import pytest
 import yaml
 from taxinet_process import taxinet
 
+from taxinet_ros.core.verdict.outcome import Outcome
 from taxinet_ros.errors import UsageError
-from taxinet_ros.testing.campaign import launch_test, run_campaign
+from taxinet_ros.testing.campaign import _judge, launch_test, run_campaign
 
 PACKAGE = Path(__file__).parents[3] / 'examples' / 'my_perception_package'
 PLUGIN = ('-p', 'taxinet_ros.pytest_plugin', '-p', 'no:cacheprovider')
@@ -83,6 +84,14 @@ def test_given_a_function_of_one_s_own_then_the_campaign_comes_with_its_interval
     assert campaign.rates['failed'].rate.other.low == pytest.approx(0.0126, abs=0.001)
     with pytest.raises(AssertionError, match=r'^1 of 2 scenes .* 51% wanted'):
         run(mine, **{**half, 'at_least': 0.51})
+
+
+def test_given_just_the_share_that_is_wanted_then_it_passes():
+    for passed, runs, share in ((14, 25, 0.56), (29, 100, 0.29), (3, 3, 1.0), (57, 1000, 0.057)):
+        rows = [types.SimpleNamespace(index=n, outcome=Outcome.PASS if n < passed else Outcome.FAIL)
+                for n in range(runs)]
+        recorded = types.SimpleNamespace(rows=rows)
+        _judge(types.SimpleNamespace(recorded=recorded), runs, share, '')
 
 
 @pytest.mark.nightly

@@ -107,6 +107,14 @@ def test_given_new_runs_then_bounds_hold_about_as_often_as_promised_and_never_fa
     assert (falls >= 0).all()
 
 
+def test_given_runs_that_violate_another_requirement_then_they_count_as_satisfied(
+    forecast, others
+):
+    failed = tuple(dataclasses.replace(row, outcome=tx.Outcome.FAIL) for row in others.rows)
+    again = dataclasses.replace(others, rows=failed)
+    assert coverage(forecast, again, 0.9) == coverage(forecast, others, 0.9)
+
+
 def test_given_a_run_watched_live_then_its_bounds_are_those_of_its_bag(folders, forecast, others):
     row = others.rows[3]
     recording = open_recording(folders / 'other' / row.run_id)

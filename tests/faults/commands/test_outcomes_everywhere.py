@@ -106,7 +106,9 @@ def test_given_five_outcomes_at_the_gate_then_junit_and_words_tell_them_apart(
     folder, _, rows = campaign
     asked = ('gate', folder, '--min-satisfaction', '0.4')
     code, out = taxinet(*asked, '--junit', tmp_path / 'j.xml')
-    assert code == 1, 'the bench broke, however many are satisfied'
+    assert (code, out.split()[0]) == (4, 'INCONCLUSIVE:'), 'the bench broke; nothing is violated'
+    assert taxinet(*asked, '--inconclusive', 'pass')[0] == 4
+    assert taxinet(*asked[:3], '0.9')[0] == 1, 'that is shown without the broken runs'
     assert '24 PASS, 12 FAIL, 2 REJECTED, 3 INFRA_ERROR, 1 INTERRUPTED' in out
     assert '66.67 % of 36 runs are satisfied' in out
     assert '3 runs were broken by the bench and are in no share: 2 timeout, 1 died' in out
@@ -185,3 +187,4 @@ def test_given_a_campaign_of_broken_runs_only_then_the_analysis_says_that_and_no
         main()
     line, = capsys.readouterr().err.splitlines()
     assert 'no run was judged (3 INFRA_ERROR (2 timeout, 1 died))' in line
+    assert line.endswith('nothing to analyse; the first: perception: silent for 10 s')
