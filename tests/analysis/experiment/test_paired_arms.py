@@ -302,10 +302,8 @@ def test_given_runs_that_were_not_judged_then_their_scenes_are_in_no_pair():
     some = found([1.0, None, 1.0], [1.0, 1.0])
     (one,) = some.comparisons
     assert (len(one.pairs), one.unpaired) == (1, 2)
-    assert any(
-        'Runs of on without verdict, whose scenes are excluded: 1 INFRA_ERROR (1 died).' in line
-        for line in experiment_report(some).sentences
-    )
+    assert 'Runs of on without verdict, whose scenes are excluded: 1 INFRA_ERROR (1 died).' in [
+        *experiment_report(some).sentences]
 
 
 def test_given_runs_that_were_not_judged_then_nothing_is_clear_that_they_could_undo():
