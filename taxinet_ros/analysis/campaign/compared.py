@@ -43,7 +43,7 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import SCENE_COLUMNS
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import clock_words
-from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import OPEN
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically, write_parquet
 from taxinet_ros.files.plain_values import json_text, plain
@@ -55,7 +55,6 @@ TEXT = Path(__file__).with_name('compared.j2')
 JSON_NAME, PAGE_NAME, CSV_NAME = 'compare.json', 'compare.html', 'changed.csv'
 BEFORE, AFTER = 'before.parquet', 'after.parquet'
 _OURS = {JSON_NAME, PAGE_NAME, CSV_NAME, BEFORE, AFTER, 'compared.png', 'bisect.json'}
-_OPEN = (Outcome.INFRA_ERROR.value, Outcome.INTERRUPTED.value)
 _SIGNIFICANT = 0.05
 _SHOWN = ('time_of_day_h', 'clouds', 'rain_percent', 'cross_track_m', 'distance_m', 'heading_deg')
 _MOST_SHOWN = 15.0
@@ -106,7 +105,7 @@ class Compared:
         """Greatest number of further common scenes of which a run has no verdict."""
         common = len(self.scenes) + self.uncounted
         (lost, alone), (lost_after, alone_after) = (
-            (sum(some.others.get(outcome, 0) for outcome in _OPEN), len(some.frame) - common)
+            (sum(some.others.get(outcome, 0) for outcome in OPEN), len(some.frame) - common)
             for some in (self.before, self.after)
         )
         return min(lost, alone_after + lost_after) + min(lost_after, alone + lost)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import binomtest, norm, rankdata, wilcoxon
@@ -61,12 +61,11 @@ class PairedRates:
 
     def p_at_most(self, unknown: int) -> float:
         """Greatest p value that so many further pairs can leave, whatever their results."""
-        fewer, more = sorted((self.only_first, self.only_second))
-        if not (unknown and self.pairs):
-            return self.p_value
-        if fewer + unknown >= more:
-            return 1.0
-        return float(binomtest(more, fewer + unknown + more, 0.5).pvalue)
+        first, second = self.only_first, self.only_second
+        return replace(
+            self, only_first=max(first, min(first + unknown, second)),
+            only_second=max(second, min(second + unknown, first)),
+        ).p_value
 
     @property
     def difference(self) -> ConfidenceInterval:

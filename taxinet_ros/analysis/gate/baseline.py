@@ -36,7 +36,7 @@ from taxinet_ros.analysis.gate.criteria import MOST_RUNS, TEXT, Bounds, Criterio
 from taxinet_ros.analysis.report.text import macro_text
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import SCENE_COLUMNS, scene_columns
-from taxinet_ros.core.verdict.outcome import Outcome
+from taxinet_ros.core.verdict.outcome import OPEN, Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.trials.rates import share_bounds
 from taxinet_ros.trials.record.row import rho_column
@@ -45,7 +45,6 @@ from taxinet_ros.trials.record.table import read_table
 DEFAULT_MARGIN = 0.05
 _DIGITS = 6
 """Digits to which scenes are shown as different; the tables have more."""
-_OPEN = (Outcome.INFRA_ERROR.value, Outcome.INTERRUPTED.value)
 _OF_THE_SYSTEM = ('controller', 'gains', 'timing')
 """Settings that the system under test may differ in; others change what is asked of it."""
 
@@ -240,7 +239,7 @@ def _changed(changed: pd.DataFrame, *, worse: bool) -> tuple[Changed, ...]:
 def _unknown(frame: pd.DataFrame, other: pd.DataFrame) -> int:
     """Number of scenes that both have, of which a run was not judged."""
     both = paired_scenes(*(
-        scene_columns(one).assign(open=one['outcome'].isin(_OPEN)) for one in (frame, other)
+        scene_columns(one).assign(open=one['outcome'].isin(OPEN)) for one in (frame, other)
     ))
     return int((both['open'] | both['open_there']).sum())
 

@@ -292,19 +292,25 @@ class Inside:
         )
 
 
+def _driven(one: CampaignRuns) -> dict[str, str]:
+    """What drove a campaign's runs and judged them; '' where that is not recorded."""
+    settings = RunSettings.from_facts(one.facts) if one.facts else None
+    return {
+        'perception': one.perception,
+        'weights': str(one.facts.get('perception_sha256', ''))[:12],
+        'controller': str(one.facts.get('controller', '')),
+        'formula': one.spec, f'formula {one.spec}': one.formula,
+        'gains': str(settings.gains) if settings else '',
+        'timing': str(settings.timing) if settings else '',
+    }
+
+
 def _check_alike(campaigns: Sequence[CampaignRuns]) -> None:
-    first = campaigns[0]
-    systems = [(one.perception, str(one.facts.get('controller', ''))) for one in campaigns]
-    weights = [str(one.facts.get('perception_sha256', ''))[:12] for one in campaigns]
-    settings = [RunSettings.from_facts(one.facts) if one.facts else None for one in campaigns]
-    for one, system, sha, own in zip(campaigns, systems, weights, settings, strict=True):
-        for what, mine, other in (
-            ('perception', system[0], systems[0][0]), ('weights', sha, weights[0]),
-            ('controller', system[1], systems[0][1]), ('formula', one.spec, first.spec),
-            (f'formula {one.spec}', one.formula, first.formula),
-            *((name, *(str(getattr(some, name)) if some else '' for some in (own, settings[0])))
-              for name in ('gains', 'timing')),
-        ):
+    first, *_ = campaigns
+    alike = _driven(first)
+    for one in campaigns:
+        for what, mine in _driven(one).items():
+            other = alike.get(what, '')
             # A table without its record knows hardly more than names.
             unknown = what not in ('perception', 'formula') and '' in (mine, other)
             if mine != other and not unknown:

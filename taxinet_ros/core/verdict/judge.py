@@ -243,7 +243,7 @@ class Judge:
             ) for spec in specs
         ]
         self._readings: tuple[Reading, ...] = ()
-        self._stop_on, self._may_stop = stop_on, stop_on is not StopOn.NEVER
+        self._stop_on = stop_on
         self._breaches: set[str] = set()
         self._collector = RunStatisticsCollector(half_width_m)
         read = {name for spec in specs for name in signal_names(spec.formula)}
@@ -273,7 +273,7 @@ class Judge:
     @property
     def stopped_early(self) -> bool:
         """Whether the run ends at the latest sample, before its horizon."""
-        return self._may_stop and bool(self._readings) and stops(self._stop_on, self._readings)
+        return bool(self._readings) and stops(self._stop_on, self._readings)
 
     @property
     def judgement(self) -> Judgement:

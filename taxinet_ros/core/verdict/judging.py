@@ -47,7 +47,9 @@ def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
         return False
     if stop_on is StopOn.VIOLATED:
         return readings[0].interval.failed
-    return stop_on is StopOn.DECIDED and all(reading.interval.decided for reading in readings)
+    if stop_on is StopOn.DECIDED:
+        return all(reading.interval.decided for reading in readings)
+    return False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

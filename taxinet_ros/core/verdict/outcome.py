@@ -34,6 +34,10 @@ class Outcome(enum.StrEnum):
         return self in (Outcome.PASS, Outcome.FAIL)
 
 
+OPEN = Outcome.INFRA_ERROR, Outcome.INTERRUPTED
+"""Outcomes of runs whose scene is valid and of which a verdict may still come."""
+
+
 class Judged(Protocol):
     """Result of judging a run: a :class:`.judge.Judgement`, or its message."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, timing_words
-from taxinet_ros.core.verdict.outcome import Outcome, RunResult
+from taxinet_ros.core.verdict.outcome import OPEN, Outcome, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.record import RECORD_NAME, plain
 from taxinet_ros.scenes.programs import check_same_files
@@ -142,7 +142,7 @@ def unfinished_search(
     sure = lag + min(broken, default=len(results))
     return unknown, content.only({
         index for index, outcome, _ in results
-        if outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
+        if outcome in OPEN
         or (outcome is Outcome.REJECTED and index >= sure)
     })
 

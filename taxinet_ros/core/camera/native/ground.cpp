@@ -51,18 +51,8 @@ constexpr int kBlock = 16;
 
 int whole_blocks(int pixels) { return (pixels + kBlock - 1) / kBlock * kBlock; }
 
-// Maximum of non-negative numbers.
-INLINE std::int32_t greatest(const std::int32_t *numbers, int count) {
-    std::int32_t most = 0;
-    for (int i = 0; i < count; ++i) {
-        most = greater(most, numbers[i]);
-    }
-    return most;
-}
-
-// Places of whole blocks of pixels.
 FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int v, int first,
-                                    int blocks, const float *__restrict dither, bool grained,
+                                    int width, const float *__restrict dither, bool grained,
                                     const Texture &atlas, const Texture &tile, Places &ground,
                                     Places &grain) {
     const Linear along_form = view.along, across_form = view.across;
@@ -81,9 +71,8 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     const float across_of_row = view.density_across.by_row[v];
     const int atlas_rows = atlas.rows, atlas_columns = atlas.columns;
     const int tile_rows = tile.rows, tile_columns = tile.columns;
-    const int count = blocks * kBlock;
     INDEPENDENT
-    for (int u = first; u < first + count; ++u) {
+    for (int u = first; u < width; ++u) {
         // Pixels of the sky use the farthest ground.
         float fall = fall_by_column[u] + fall_of_row;
         fall = fall < ruler.least_fall ? ruler.least_fall : fall;
@@ -117,8 +106,8 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
             grain_weights[u] = in_grain.weights;
         }
     }
-    ground.furthest = greatest(ground_offset + first, count);
-    grain.furthest = grained ? greatest(grain_offset + first, count) : 0;
+    ground.furthest = furthest_of(ground_offset + first, width - first);
+    grain.furthest = grained ? furthest_of(grain_offset + first, width - first) : 0;
 }
 
 // Neighbours share lines of the cache, but not those of other levels: every third pixel has another
@@ -193,7 +182,7 @@ void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
             Places &ground = ground_places_[v % 2], &grain = grain_places_[v % 2];
             const bool grained = v >= first_grain_row;
             const int first = hidden.data()[v] / kBlock * kBlock;
-            find_places(view, ruler_, v, first, (whole_width_ - first) / kBlock,
+            find_places(view, ruler_, v, first, whole_width_,
                         dither + static_cast<std::size_t>(v) * whole_width_, grained, atlas_,
                         grain_, ground, grain);
             if (grained) {

@@ -60,7 +60,6 @@ FOR_EACH_PROCESSOR void find_places(const float *__restrict across, const float 
                                     int width, int columns, int rows, Places &places) {
     std::int32_t *__restrict offset = places.offset.data();
     std::int32_t *__restrict weights = places.weights.data();
-    std::int32_t furthest = 0;
     INDEPENDENT
     for (int u = 0; u < width; ++u) {
         const std::int32_t x = rounded(across[u] * kSteps), y = rounded(up[u] * kSteps);
@@ -70,9 +69,8 @@ FOR_EACH_PROCESSOR void find_places(const float *__restrict across, const float 
         const std::int32_t top = lesser(y >> kStepBits, rows - 2);
         offset[u] = (top * (columns + 2) + left) * kChannels;
         weights[u] = weights_of(x & (kSteps - 1), y - top * kSteps);
-        furthest = greater(furthest, offset[u]);
     }
-    places.furthest = furthest;
+    places.furthest = furthest_of(offset, width);
 }
 
 }  // namespace

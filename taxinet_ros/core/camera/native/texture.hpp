@@ -45,6 +45,16 @@ INLINE std::int32_t weights_of(std::int32_t right, std::int32_t below) {
     return (seconds << 8) - seconds + kBoth;
 }
 
+// Maximum of offsets. A loop of its own: within that of the ground's places it keeps compilers from
+// vectors.
+INLINE std::int32_t furthest_of(const std::int32_t *offsets, int count) {
+    std::int32_t most = 0;
+    for (int i = 0; i < count; ++i) {
+        most = greater(most, offsets[i]);
+    }
+    return most;
+}
+
 // Bilinear interpolation of one channel; weights of the right and lower texels are in 32 steps.
 INLINE std::int32_t blended(const std::uint8_t *upper, const std::uint8_t *lower, int left,
                             int right, int of_right, int of_lower) {
